@@ -53,7 +53,8 @@ impl FileReader {
         let mut file = File::open(path).map_err(error)?;
         let length = file.metadata().map_err(error)?.len();
         if length == 0 {
-            return Err(BagError::Empty { path: path.to_owned() });
+            let reason = "the file is empty; record it again, or give another one";
+            return Err(BagError::unusable(path, reason));
         }
         if path.extension().is_some_and(|e| e == "zstd" || e == "zst") {
             return Self::of(path, Box::new(zstd::Decoder::new(file).map_err(error)?));
@@ -118,7 +119,7 @@ impl FileReader {
             let cut = (body.len() as u64) < length;
             match opcode {
                 op::CHUNK => {
-                    self.chunk(&body, length, start, &mut group);
+                    self.chunk(&body, cut, start, &mut group);
                     if cut {
                         self.cut_off(start);
                     }
@@ -199,10 +200,8 @@ impl FileReader {
         }
     }
 
-    /// Reads the records of a chunk, or of the first part of one that is cut off; `length` is the
-    /// length that the record claims, bytes.
-    fn chunk(&mut self, body: &[u8], length: u64, at: u64, group: &mut Vec<BagMessage>) {
-        let cut = (body.len() as u64) < length;
+    /// Reads the records of a chunk, or of the first part of one that is cut off.
+    fn chunk(&mut self, body: &[u8], cut: bool, at: u64, group: &mut Vec<BagMessage>) {
         let before = group.len();
         let result = match Chunk::parse(body) {
             Some(chunk) => self.records_of(&chunk, cut, group),
@@ -279,7 +278,8 @@ fn expand(chunk: &Chunk<'_>) -> (Vec<u8>, Result<(), String>) {
 /// The error of an operation on the file at `path`.
 pub(crate) fn io_error(path: &Path, source: io::Error) -> BagError {
     if source.kind() == io::ErrorKind::NotFound {
-        BagError::NotFound { path: path.to_owned() }
+        let reason = "no such file or folder; give an .mcap file or a rosbag2 folder";
+        BagError::unusable(path, reason)
     } else {
         BagError::Io { path: path.to_owned(), source }
     }

@@ -82,9 +82,6 @@ impl FileWriter {
     }
 
     /// Appends a message; times in ns.
-    ///
-    /// # Errors
-    /// As [`FileWriter::add_topic`].
     pub fn write(
         &mut self,
         channel: u16,
@@ -97,17 +94,11 @@ impl FileWriter {
     }
 
     /// Closes the chunk and passes all bytes to the operating system.
-    ///
-    /// # Errors
-    /// As [`FileWriter::add_topic`].
     pub fn flush(&mut self) -> Result<(), BagError> {
         self.writer.flush().map_err(|e| mcap_error(&self.path, e))
     }
 
     /// Closes the file, with rosbag2's metadata record where it is given.
-    ///
-    /// # Errors
-    /// As [`FileWriter::add_topic`].
     pub fn finish(mut self, rosbag2_metadata: Option<&str>) -> Result<(), BagError> {
         if let Some(text) = rosbag2_metadata {
             let metadata = mcap::records::Metadata {
@@ -126,6 +117,6 @@ impl FileWriter {
 fn mcap_error(path: &Path, error: mcap::McapError) -> BagError {
     match error {
         mcap::McapError::Io(source) => io_error(path, source),
-        other => BagError::Damaged { path: path.to_owned(), reason: other.to_string() },
+        other => BagError::unusable(path, other),
     }
 }

@@ -59,10 +59,7 @@ pub fn files_to_recover(path: &Path) -> Result<Vec<PathBuf>, BagError> {
     }
     match files_of(path) {
         Err(foreign @ BagError::Foreign { .. }) => Err(foreign),
-        _ => Err(BagError::Damaged {
-            path: path.to_owned(),
-            reason: "the folder holds no .mcap file; give another one".to_owned(),
-        }),
+        _ => Err(BagError::unusable(path, "the folder holds no .mcap file; give another one")),
     }
 }
 
@@ -80,7 +77,10 @@ pub(crate) fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
         return Ok(vec![path.to_owned()]);
     }
     let yaml = path.join("metadata.yaml");
-    let broken = |reason: String| BagError::Metadata { path: yaml.clone(), reason };
+    let broken = |reason: String| {
+        let remedy = "`volant bag recover` repairs its .mcap files";
+        BagError::unusable(&yaml, format!("{reason}; {remedy}"))
+    };
     let text = match metadata_text(&yaml) {
         Ok(text) => text,
         Err(e) if e.kind() == ErrorKind::NotFound => {
@@ -113,15 +113,15 @@ fn metadata_text(path: &Path) -> io::Result<String> {
 
 /// Why a folder's files are not supported, and the remedy.
 fn not_ours(folder: &Folder) -> Option<(String, &'static str)> {
-    if folder.storage != "mcap" {
-        let what = format!("its storage is `{}`", folder.storage);
+    if folder.storage_identifier != "mcap" {
+        let what = format!("its storage is `{}`", folder.storage_identifier);
         return Some((what, "convert it with `ros2 bag convert`, or record with `-s mcap`"));
     }
-    if folder.compression_mode == "message" || !matches!(&*folder.compression_format, "" | "zstd") {
-        let what = format!(
-            "its messages are compressed one by one, mode `{}`, format `{}`",
-            folder.compression_mode, folder.compression_format
-        );
+    let mode = folder.compression_mode.as_deref().unwrap_or_default();
+    let format = folder.compression_format.as_deref().unwrap_or_default();
+    if mode == "message" || !matches!(format, "" | "zstd") {
+        let what =
+            format!("its messages are compressed one by one, mode `{mode}`, format `{format}`");
         return Some((what, "convert it with `ros2 bag convert` without compression"));
     }
     None
@@ -135,12 +135,13 @@ fn own_files(folder: Folder) -> Result<Vec<String>, String> {
                 .components()
                 .all(|c| matches!(c, Component::Normal(_) | Component::CurDir))
     };
-    if folder.files.is_empty() {
+    let files = folder.relative_file_paths;
+    if files.is_empty() {
         return Err("names no file".into());
     }
-    match folder.files.iter().find(|name| !inside(name)) {
+    match files.iter().find(|name| !inside(name)) {
         Some(foreign) => Err(format!("names {foreign:?}, which is not a file of this folder")),
-        None => Ok(folder.files),
+        None => Ok(files),
     }
 }
 

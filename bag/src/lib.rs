@@ -23,7 +23,10 @@ pub use qos::{qos_from_yaml, qos_to_yaml};
 pub use read::{BagReader, BagSummary};
 pub use write::{BagWriter, TopicId, WriteOptions};
 
-use std::{path::PathBuf, sync::Arc};
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+};
 use thiserror::Error;
 
 /// A topic as a bag describes it.
@@ -73,19 +76,6 @@ pub struct BagMessage {
 /// Why reading or writing a bag fails.
 #[derive(Debug, Error)]
 pub enum BagError {
-    /// No such file or folder.
-    #[error("{}: no such file or folder; give an .mcap file or a rosbag2 \
-             folder", path.display())]
-    NotFound {
-        /// The path as given.
-        path: PathBuf,
-    },
-    /// A file of zero bytes.
-    #[error("{}: the file is empty; record it again, or give another one", path.display())]
-    Empty {
-        /// Which file.
-        path: PathBuf,
-    },
     /// Not an MCAP file.
     #[error("{}: this is not an MCAP file ({what}); {remedy}", path.display())]
     Foreign {
@@ -105,18 +95,10 @@ pub enum BagError {
         /// Its reason.
         source: std::io::Error,
     },
-    /// A rosbag2 folder with a missing or invalid `metadata.yaml`.
-    #[error("{}: {reason}; `volant bag recover` repairs its .mcap \
-             files", path.display())]
-    Metadata {
-        /// Which file.
-        path: PathBuf,
-        /// What is wrong.
-        reason: String,
-    },
-    /// The file violates MCAP where nothing can be skipped.
+    /// A missing or empty file, a folder without a valid `metadata.yaml`, or a file that violates
+    /// MCAP where nothing can be skipped.
     #[error("{}: {reason}", path.display())]
-    Damaged {
+    Unusable {
         /// Which file.
         path: PathBuf,
         /// What is wrong, and what to do.
@@ -125,4 +107,10 @@ pub enum BagError {
     /// A bag that is not written, since it exists already or its folder is not writable.
     #[error(transparent)]
     Output(#[from] node_kit::files::FileError),
+}
+
+impl BagError {
+    fn unusable(path: &Path, reason: impl ToString) -> Self {
+        Self::Unusable { path: path.to_owned(), reason: reason.to_string() }
+    }
 }

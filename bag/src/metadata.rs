@@ -5,34 +5,26 @@ use ros_parameters::ParameterValue;
 use serde::Deserialize;
 use std::fmt::Write;
 
-/// The used part of a folder's `metadata.yaml`.
-#[derive(Debug, PartialEq)]
-pub(super) struct Folder {
-    /// `mcap`, `sqlite3`, …
-    pub storage: String,
-    /// The files in order.
-    pub files: Vec<String>,
-    /// `` or `zstd`.
-    pub compression_format: String,
-    /// ``, `file` or `message`.
-    pub compression_mode: String,
-}
-
 #[derive(Deserialize)]
 struct Document {
-    rosbag2_bagfile_information: Information,
+    rosbag2_bagfile_information: Folder,
 }
 
-#[derive(Deserialize)]
-struct Information {
+/// The used part of a folder's `metadata.yaml`.
+#[derive(Debug, Deserialize)]
+pub(super) struct Folder {
+    /// `mcap`, `sqlite3`, …
     #[serde(default)]
-    storage_identifier: String,
+    pub storage_identifier: String,
+    /// The files in order.
     #[serde(default)]
-    relative_file_paths: Vec<String>,
+    pub relative_file_paths: Vec<String>,
+    /// `` or `zstd`.
     #[serde(default)]
-    compression_format: Option<String>,
+    pub compression_format: Option<String>,
+    /// `file` or `message`; `None` without compression.
     #[serde(default)]
-    compression_mode: Option<String>,
+    pub compression_mode: Option<String>,
 }
 
 impl Folder {
@@ -44,14 +36,10 @@ impl Folder {
         let document: Document = ros_parameters::yaml::parse(text)
             .and_then(serde_yaml_ng::from_value)
             .map_err(|e| format!("is not valid ({e})"))?;
-        let information = document.rosbag2_bagfile_information;
-        let mode = information.compression_mode.unwrap_or_default().to_lowercase();
-        Ok(Self {
-            storage: information.storage_identifier,
-            files: information.relative_file_paths,
-            compression_format: information.compression_format.unwrap_or_default(),
-            compression_mode: if mode == "none" { String::new() } else { mode },
-        })
+        let mut folder = document.rosbag2_bagfile_information;
+        let mode = folder.compression_mode.map(|mode| mode.to_lowercase());
+        folder.compression_mode = mode.filter(|mode| mode != "none");
+        Ok(folder)
     }
 }
 
@@ -164,8 +152,8 @@ mod tests {
             [FileContents { path: "run 1_0.mcap".into(), span: Some((5, 9)), counts: vec![2] }];
         let text = to_yaml(&files, [(&topic, 2)].into_iter());
         let folder = Folder::parse(&text).unwrap();
-        assert_eq!(folder.files, ["run 1_0.mcap"]);
-        assert_eq!(folder.storage, "mcap");
+        assert_eq!(folder.relative_file_paths, ["run 1_0.mcap"]);
+        assert_eq!(folder.storage_identifier, "mcap");
         let value: serde_yaml_ng::Value = serde_yaml_ng::from_str(&text).unwrap();
         let topic =
             &value["rosbag2_bagfile_information"]["topics_with_message_count"][0]["topic_metadata"];
@@ -189,7 +177,8 @@ mod tests {
             };
             let files = [FileContents { path: "run_0.mcap".into(), ..FileContents::default() }];
             let text = to_yaml(&files, [(&topic, 0)].into_iter());
-            assert_eq!(Folder::parse(&text).unwrap().files, ["run_0.mcap"], "{text}");
+            let folder = Folder::parse(&text).unwrap();
+            assert_eq!(folder.relative_file_paths, ["run_0.mcap"], "{text}");
             let value: serde_yaml_ng::Value = serde_yaml_ng::from_str(&text).unwrap();
             let topics = &value["rosbag2_bagfile_information"]["topics_with_message_count"];
             let list = &topics[0]["topic_metadata"]["offered_qos_profiles"];

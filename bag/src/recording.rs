@@ -1,22 +1,17 @@
 //! Recordings of the rig with ground truth, as the types of the cores.
 //!
 //! A folder holds `in.mcap` (what the nodes received), `rig.yaml`, `truth.mcap` and, where the bag
-//! has images,
-//! `truth_markers.csv` (the true centroids in them).
+//! has images, `truth_markers.csv` (the true centroids in them).
 
 use crate::{BagError, BagReader};
 use nalgebra::{Matrix2, Vector2, Vector3};
-use node_kit::convert;
+use node_kit::convert::{self, ConvertError};
 use rig_model::{
     MarkerObservation, MarkerObservations, MarkerState, PerColor, Rig, Sample, Stamp,
     score::{Truth, TruthSample},
     topics::absolute as topics,
 };
-use std::{
-    collections::HashMap,
-    path::{Path, PathBuf},
-};
-use thiserror::Error;
+use std::{collections::HashMap, path::Path};
 use volant_msgs::{Message, cdr, geometry_msgs, msg, nav_msgs, sensor_msgs};
 
 /// Marker observations of images, by their stamps.
@@ -34,26 +29,7 @@ pub struct Recording {
 }
 
 /// Why reading a recording fails.
-#[derive(Debug, Error)]
-pub enum RecordingError {
-    /// One of its bags.
-    #[error(transparent)]
-    Bag(#[from] BagError),
-    /// One of its other files, or a message.
-    #[error("{}: {reason}", path.display())]
-    File {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        reason: String,
-    },
-}
-
-impl RecordingError {
-    fn file(path: &Path, reason: impl ToString) -> Self {
-        Self::File { path: path.to_owned(), reason: reason.to_string() }
-    }
-}
+pub type RecordingError = BagError;
 
 impl Recording {
     /// Reads a folder.
@@ -63,18 +39,15 @@ impl Recording {
     ///
     /// # Errors
     /// A missing or unreadable file, or an undecodable message, with its path.
-    pub fn read(folder: &Path, markers: &Markers) -> Result<Self, RecordingError> {
+    pub fn read(folder: &Path, markers: &Markers) -> Result<Self, BagError> {
         let path = folder.join("rig.yaml");
-        let rig = Rig::from_yaml(&text(&path)?).map_err(|e| RecordingError::file(&path, e))?;
+        let rig = Rig::from_yaml(&text(&path)?).map_err(|e| BagError::unusable(&path, e))?;
         let path = folder.join("in.mcap");
-        let observed = BagReader::summary(&path)?
-            .topics
-            .iter()
-            .any(|(topic, count)| topic.name == topics::MARKERS && *count > 0);
+        let observed = BagReader::summary(&path)?.count(topics::MARKERS) > 0;
         let mut samples = Vec::new();
         let mut bag = BagReader::open(&path)?;
         while let Some(message) = bag.next_message()? {
-            let wrong = |e: &dyn ToString| RecordingError::file(&path, e.to_string());
+            let wrong = |e: ConvertError| BagError::unusable(&path, e);
             let data = &message.data;
             let sample = match message.topic.name.as_str() {
                 topics::IMU => {
@@ -82,15 +55,17 @@ impl Recording {
                 }
                 topics::CLIMBER_TRANSFORM => {
                     let m = decode::<geometry_msgs::msg::TransformStamped>(&path, data)?;
-                    Sample::Climber(
-                        convert::climber_sample(&m, &rig.frames).map_err(|e| wrong(&e))?,
-                    )
+                    Sample::Climber(convert::climber_sample(&m, &rig.frames).map_err(wrong)?)
                 }
                 topics::CAMERA_INFO => {
                     let m = decode::<sensor_msgs::msg::CameraInfo>(&path, data)?;
-                    Sample::Camera(convert::camera_model(&m).map_err(|e| wrong(&e))?)
+                    let camera = convert::camera_model(&m);
+                    Sample::Camera(camera.map_err(|e| BagError::unusable(&path, e))?)
                 }
-                topics::MARKERS => Sample::Markers(observations(&path, data)?),
+                topics::MARKERS => {
+                    let m = decode::<msg::MarkerObservations>(&path, data)?;
+                    Sample::Markers(convert::marker_observations(&m).map_err(wrong)?)
+                }
                 topics::COMPRESSED_IMAGE if !observed => {
                     let m = decode::<sensor_msgs::msg::CompressedImage>(&path, data)?;
                     match markers.get(&convert::stamp(&m.header.stamp)) {
@@ -100,7 +75,8 @@ impl Recording {
                 }
                 _ => continue,
             };
-            samples.push((arrival(message.log_time), sample));
+            let arrival = i64::try_from(message.log_time).unwrap_or(i64::MAX);
+            samples.push((Stamp::from_nanos(arrival), sample));
         }
         let truth = read_truth(&folder.join("truth.mcap"), topics::GROUND_TRUTH, &mut vec![])?;
         Ok(Self { rig, samples, truth })
@@ -114,17 +90,11 @@ impl Recording {
 pub fn map_messages<M: Message, T>(
     path: &Path,
     topic: &str,
-    mut map: impl FnMut(u64, M) -> T,
-) -> Result<Vec<T>, RecordingError> {
-    let (mut mapped, mut undecodable) = (Vec::new(), None);
-    each_message::<M>(path, topic, |log_time, decoded| match decoded {
-        Ok(message) => mapped.push(map(log_time, message)),
-        Err(error) => {
-            undecodable.get_or_insert(error);
-        }
-    })?;
-    match undecodable {
-        Some(error) => Err(RecordingError::file(path, format!("a message on {topic}: {error}"))),
+    map: impl FnMut(u64, M) -> T,
+) -> Result<Vec<T>, BagError> {
+    let Decoded { mapped, undecodable, .. } = decode_messages(path, topic, map)?;
+    match undecodable.first() {
+        Some(error) => Err(BagError::unusable(path, format!("a message on {topic}: {error}"))),
         None => Ok(mapped),
     }
 }
@@ -138,13 +108,9 @@ pub fn read_messages<M: Message, T>(
     path: &Path,
     topic: &str,
     losses: &mut Vec<String>,
-    mut map: impl FnMut(u64, M) -> T,
+    map: impl FnMut(u64, M) -> T,
 ) -> Result<Vec<T>, BagError> {
-    let (mut mapped, mut undecodable) = (Vec::new(), Vec::new());
-    let lost = each_message::<M>(path, topic, |log_time, decoded| match decoded {
-        Ok(message) => mapped.push(map(log_time, message)),
-        Err(error) => undecodable.push(error),
-    })?;
+    let Decoded { mapped, undecodable, lost } = decode_messages(path, topic, map)?;
     losses.extend(lost);
     if let Some(first) = undecodable.first() {
         let count = undecodable.len();
@@ -154,29 +120,39 @@ pub fn read_messages<M: Message, T>(
     Ok(mapped)
 }
 
-/// Passes the messages on a topic with their log times, ns, to `take`; returns what the bag lost.
-fn each_message<M: Message>(
+/// Messages on a topic, the errors of those that are undecodable, and what the bag lost.
+struct Decoded<T> {
+    mapped: Vec<T>,
+    undecodable: Vec<cdr::CdrError>,
+    lost: Vec<String>,
+}
+
+fn decode_messages<M: Message, T>(
     path: &Path,
     topic: &str,
-    mut take: impl FnMut(u64, Result<M, cdr::CdrError>),
-) -> Result<Vec<String>, BagError> {
+    mut map: impl FnMut(u64, M) -> T,
+) -> Result<Decoded<T>, BagError> {
     let mut bag = BagReader::open(path)?;
+    let (mut mapped, mut undecodable) = (vec![], vec![]);
     while let Some(message) = bag.next_message()? {
         if message.topic.name == topic {
-            take(message.log_time, cdr::from_bytes(&message.data));
+            match cdr::from_bytes(&message.data) {
+                Ok(decoded) => mapped.push(map(message.log_time, decoded)),
+                Err(error) => undecodable.push(error),
+            }
         }
     }
-    Ok(bag.losses().to_vec())
+    Ok(Decoded { mapped, undecodable, lost: bag.losses().to_vec() })
 }
 
 /// Reads the marker observations of a bag.
 ///
 /// # Errors
 /// An unreadable bag, or an undecodable message.
-pub fn read_markers(path: &Path) -> Result<Markers, RecordingError> {
+pub fn read_markers(path: &Path) -> Result<Markers, BagError> {
     let observed = map_messages(path, topics::MARKERS, |_, m| convert::marker_observations(&m))?;
     let by_stamp = observed.into_iter().map(|m| m.map(|m| (m.stamp, m)));
-    by_stamp.collect::<Result<_, _>>().map_err(|e| RecordingError::file(path, e))
+    by_stamp.collect::<Result<_, _>>().map_err(|e| BagError::unusable(path, e))
 }
 
 /// Reads the true centroids from a folder's `truth_markers.csv`, with noise of `sigma` px.
@@ -190,7 +166,7 @@ pub fn true_centroids(
     folder: &Path,
     sigma: f64,
     mut normal: impl FnMut() -> f64,
-) -> Result<Markers, RecordingError> {
+) -> Result<Markers, BagError> {
     let table = text(&folder.join("truth_markers.csv"))?;
     let mut lines = table.lines();
     let names: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();
@@ -252,19 +228,10 @@ pub fn read_truth(path: &Path, topic: &str, losses: &mut Vec<String>) -> Result<
     Ok(Truth::new(samples))
 }
 
-fn arrival(log_time: u64) -> Stamp {
-    Stamp::from_nanos(i64::try_from(log_time).unwrap_or(i64::MAX))
+fn text(path: &Path) -> Result<String, BagError> {
+    node_kit::files::read_text(path).map_err(|e| BagError::unusable(path, e))
 }
 
-fn text(path: &Path) -> Result<String, RecordingError> {
-    node_kit::files::read_text(path).map_err(|e| RecordingError::file(path, e))
-}
-
-fn decode<T: volant_msgs::Message>(path: &Path, data: &[u8]) -> Result<T, RecordingError> {
-    cdr::from_bytes(data).map_err(|e| RecordingError::file(path, e))
-}
-
-fn observations(path: &Path, data: &[u8]) -> Result<MarkerObservations, RecordingError> {
-    convert::marker_observations(&decode::<msg::MarkerObservations>(path, data)?)
-        .map_err(|e| RecordingError::file(path, e))
+fn decode<T: Message>(path: &Path, data: &[u8]) -> Result<T, BagError> {
+    cdr::from_bytes(data).map_err(|e| BagError::unusable(path, e))
 }

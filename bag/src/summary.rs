@@ -23,9 +23,14 @@ const CLOSING: u64 = 9 + 20 + 8;
 /// Reads the closing records of a file; `None` where they are missing, damaged or incomplete (then
 /// the whole file must be read).
 pub(crate) fn read_summary(path: &Path) -> Option<BagSummary> {
-    let mut file = File::open(path).ok()?;
-    let size = file.metadata().ok()?.len();
+    let (mut file, size) = open(path)?;
     summary_of(&mut file, size)
+}
+
+fn open(path: &Path) -> Option<(File, u64)> {
+    let file = File::open(path).ok()?;
+    let size = file.metadata().ok()?.len();
+    Some((file, size))
 }
 
 /// Reads the closing records of an input of `size` bytes; see [`read_summary`].
@@ -76,12 +81,7 @@ pub(crate) fn channels_of(file: &mut (impl Read + Seek), size: u64) -> Channels 
 
 /// Whether a file ends with MCAP's footer, which one that was cut off lacks.
 pub(crate) fn has_footer(path: &Path) -> bool {
-    let read = || {
-        let mut file = File::open(path).ok()?;
-        let size = file.metadata().ok()?.len();
-        summary_start(&mut file, size)
-    };
-    read().is_some()
+    open(path).and_then(|(mut file, size)| summary_start(&mut file, size)).is_some()
 }
 
 /// The bytes of the closing records.

@@ -100,7 +100,7 @@ impl BagWriter {
         files::check_output(path, lone && options.replace, &[])?;
         if !lone && path.exists() {
             // A device, which is no place for a folder.
-            return Err(FileError::Exists { path: path.to_owned() }.into());
+            return Err(FileError::Exists(path.to_owned()).into());
         }
         let mut bag = Self {
             path: path.to_owned(),
@@ -250,10 +250,7 @@ impl BagWriter {
             None => self.path.clone(),
         });
         let files: Vec<PathBuf> = files.collect();
-        let mut bytes = 0;
-        for file in &files {
-            bytes += file_size(file)?;
-        }
+        let bytes = files.iter().map(|file| file_size(file)).sum::<Result<u64, _>>()?;
         let span = self.files.iter().map(|f| f.span).fold(None, join);
         let counted = self.counted(&self.files);
         let topics = counted.map(|(topic, count)| (topic.clone(), count)).collect();
@@ -267,18 +264,12 @@ impl BagWriter {
     }
 
     fn split_if_due(&mut self, log_time: u64) -> Result<(), BagError> {
-        if self.folder.is_none() {
-            return Ok(());
-        }
-        let (Some(current), Some(file)) = (&self.current, self.files.last()) else {
-            return Ok(());
-        };
-        let large = self.options.split_bytes.is_some_and(|limit| current.bytes >= limit);
-        let long = match (self.options.split_nanos, file.span) {
-            (Some(limit), Some((start, _))) => log_time.saturating_sub(start) >= limit,
-            _ => false,
-        };
-        if file.span.is_some() && (large || long) {
+        let (Some(_), Some(current)) = (&self.folder, &self.current) else { return Ok(()) };
+        let Some((start, _)) = self.files.last().and_then(|file| file.span) else { return Ok(()) };
+        let WriteOptions { split_bytes, split_nanos, .. } = self.options;
+        let large = split_bytes.is_some_and(|limit| current.bytes >= limit);
+        let long = split_nanos.is_some_and(|limit| log_time.saturating_sub(start) >= limit);
+        if large || long {
             self.end_file()?;
             self.begin_file()?;
             self.repeat_latched(log_time)?;

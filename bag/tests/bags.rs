@@ -5,6 +5,7 @@ use bag::{BagError, BagMessage, BagReader, BagWriter, Compression, Qos, Topic, W
 use node_kit::files::FileError;
 use std::{
     fs,
+    ops::Range,
     path::{Path, PathBuf},
     process::Command,
 };
@@ -63,6 +64,19 @@ fn texts(messages: &[BagMessage]) -> Vec<String> {
         .collect()
 }
 
+fn written(numbers: Range<u64>) -> Vec<String> {
+    numbers.map(|i| format!("message {i}")).collect()
+}
+
+/// Names of the files in a folder, sorted.
+fn names(folder: &Path) -> Vec<String> {
+    let entries = fs::read_dir(folder).unwrap();
+    let mut names: Vec<_> =
+        entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
 fn all_forms() -> impl Iterator<Item = (&'static str, WriteOptions)> {
     let split = |split_bytes, split_nanos| WriteOptions {
         split_bytes,
@@ -90,11 +104,7 @@ fn written_bags_are_read_in_every_form() {
         write(&path, options);
         let (messages, losses) = read(&path);
         assert_eq!(losses, [] as [String; 0], "{name}");
-        assert_eq!(
-            texts(&messages),
-            (0..COUNT).map(|i| format!("message {i}")).collect::<Vec<_>>(),
-            "{name}"
-        );
+        assert_eq!(texts(&messages), written(0..COUNT), "{name}");
         let first = &messages[0];
         assert_eq!(first.topic.definition, "string data\n");
         assert!(first.topic.type_hash.starts_with("RIHS01_"));
@@ -161,11 +171,7 @@ fn bags_of_other_writers_are_read() {
     for name in ["plain", "zstd_chunks", "lz4_chunks", "zstd_file", "unchunked.mcap"] {
         let (messages, losses) = read(&dir.path().join(name));
         assert_eq!(losses, [] as [String; 0], "{name}");
-        assert_eq!(
-            texts(&messages),
-            (0..50).map(|i| format!("message {i}")).collect::<Vec<_>>(),
-            "{name}"
-        );
+        assert_eq!(texts(&messages), written(0..50), "{name}");
     }
     let error = BagReader::open(&dir.path().join("sqlite")).unwrap_err().to_string();
     assert!(error.contains("sqlite3") && error.contains("ros2 bag convert"), "{error}");
@@ -310,17 +316,13 @@ fn foreign_files_are_rejected_with_a_remedy() {
 #[test]
 fn a_bag_appears_when_it_is_finished_and_a_recording_from_its_start() {
     let dir = TempDir::new().unwrap();
-    let names = || {
-        let entries = fs::read_dir(dir.path()).unwrap();
-        entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect::<Vec<_>>()
-    };
     for name in ["lone.mcap", "folder"] {
         let path = dir.path().join(name);
         let usual = WriteOptions::default();
         drop(BagWriter::create(&path, usual).unwrap());
-        assert_eq!(names(), Vec::<String>::new(), "of an unfinished bag nothing is left");
+        assert_eq!(names(dir.path()), [] as [&str; 0], "of an unfinished bag nothing is left");
         write(&path, usual);
-        assert_eq!(names(), [name]);
+        assert_eq!(names(dir.path()), [name]);
         assert!(BagReader::summary(&path).unwrap().files.iter().all(|f| f.starts_with(&path)));
         let before = read(&path);
         let again = BagWriter::create(&path, usual).unwrap_err().to_string();
@@ -354,16 +356,10 @@ fn only_the_newest_files_are_kept_and_counted() {
     let (messages, losses) = read(&path);
     assert_eq!(losses, [] as [String; 0]);
     // 0 to 3 s, in files of 1 s: the third of four and the last.
-    let expected: Vec<String> = (200..COUNT).map(|i| format!("message {i}")).collect();
-    assert_eq!(texts(&messages), expected);
+    assert_eq!(texts(&messages), written(200..COUNT));
     let summary = BagReader::summary(&path).unwrap();
     assert!(summary.complete);
     assert_eq!((summary.files.len(), summary.count("/text")), (2, COUNT - 200));
-    let mut names: Vec<String> = fs::read_dir(&path)
-        .unwrap()
-        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
-        .collect();
-    names.sort();
-    assert_eq!(names, ["kept_2.mcap", "kept_3.mcap", "metadata.yaml"]);
+    assert_eq!(names(&path), ["kept_2.mcap", "kept_3.mcap", "metadata.yaml"]);
     assert_eq!(fs::read_to_string(foreign).unwrap(), "foreign");
 }

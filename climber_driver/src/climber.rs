@@ -2,7 +2,7 @@
 
 use crate::{
     config::{Axis, ClimberConfig, ConfigError},
-    rejection::Rejection,
+    rejection::{Rejection, Warning},
 };
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rig_model::{ClimberSample, Stamp, wrap_angle};
@@ -10,7 +10,6 @@ use std::{
     collections::{BTreeMap, VecDeque},
     f64::consts::{SQRT_2, TAU},
 };
-use thiserror::Error;
 
 /// Joint positions at one instant: `sensor_msgs/JointState` without velocity and effort.
 #[derive(Clone, Debug, PartialEq)]
@@ -30,43 +29,6 @@ pub enum Output {
     Sample(ClimberSample),
     /// Warning for the operator.
     Warning(Warning),
-}
-
-/// Warning for the operator.
-#[derive(Clone, Debug, Error, PartialEq)]
-pub enum Warning {
-    /// A reading was rejected.
-    #[error(transparent)]
-    Rejected(Rejection),
-    /// Readings after a jump were consistent with each other and are accepted again.
-    #[error(
-        "position changed by {:+.3} m, {:+.3} m, {:+.4} rad and accepted after {rejected} \
-         consistent readings; check the encoders unless they were re-zeroed",
-        change[0], change[1], change[2]
-    )]
-    Relocated {
-        /// Change since the last reading before the jump: m, m, rad.
-        change: [f64; 3],
-        /// Number of readings that had been rejected.
-        rejected: u32,
-    },
-    /// The receiver's clock went back (a replay was restarted); the state was reset.
-    #[error("time went back by {seconds:.3} s: state reset")]
-    TimeWentBack {
-        /// Step of the clock, s.
-        seconds: f64,
-    },
-}
-
-impl Warning {
-    /// Short name of its kind.
-    pub const fn kind(&self) -> &'static str {
-        match self {
-            Self::Rejected(rejection) => rejection.kind(),
-            Self::Relocated { .. } => "relocated",
-            Self::TimeWentBack { .. } => "time went back",
-        }
-    }
 }
 
 /// Number of readings by outcome.
@@ -210,7 +172,11 @@ impl Climber {
             format!("the joints {}", listed(reading.names.iter()))
         };
         let configured = listed(self.config.joints.iter().map(|joint| &joint.name));
-        Rejection::OtherJoints { found, configured }
+        let text = format!(
+            "the messages have {found}, but none of {configured}; set the parameters \
+             joints.rail_x, joints.rail_y and joints.turn to the names in the messages"
+        );
+        Rejection { kind: "other joints", text }
     }
 
     /// Checks a reading; `Ok(None)` if it contains none of the configured joints.
@@ -219,33 +185,54 @@ impl Climber {
         reading: &JointReading,
         received: Stamp,
     ) -> Result<Option<Accepted>, Rejection> {
+        let wrong = |kind, text| Err(Rejection { kind, text });
         let (names, positions) = (reading.names.len(), reading.positions.len());
         let Some(readings) = self.joint_indices(reading)? else { return Ok(None) };
         if names != positions {
-            return Err(Rejection::LengthMismatch { names, positions });
+            let text = format!(
+                "{names} names but {positions} positions; the publisher must fill both alike"
+            );
+            return wrong("length mismatch", text);
         }
         let mut axes = [0.0; 3];
         for ((axis, joint), &index) in axes.iter_mut().zip(&self.config.joints).zip(&readings) {
             let value = reading.positions[index];
             *axis = joint.scale * (value - joint.zero);
             if !axis.is_finite() {
-                return Err(Rejection::NotFinite { joint: joint.name.clone(), value });
+                let text = format!("`{}` is {value}; check the encoder", joint.name);
+                return wrong("not finite", text);
             }
         }
         if reading.stamp.is_unset() {
-            return Err(Rejection::NoStamp);
+            let text = "the stamp is zero; its publisher must set header.stamp";
+            return wrong("no stamp", text.to_owned());
         }
         let age = received.seconds_since(reading.stamp);
-        if age > self.config.max_age {
-            return Err(Rejection::Stale { age, limit: self.config.max_age });
+        let ClimberConfig { max_age, max_ahead, .. } = self.config;
+        if age > max_age {
+            let text = format!(
+                "{age:.3} s old on arrival, more than max_age = {max_age} s; check network and \
+                 clocks"
+            );
+            return wrong("stale", text);
         }
-        if -age > self.config.max_ahead {
-            return Err(Rejection::FromTheFuture { ahead: -age, limit: self.config.max_ahead });
+        if -age > max_ahead {
+            let text = format!(
+                "stamped {:.3} s after its receipt, more than max_ahead = {max_ahead} s; check \
+                 the two clocks",
+                -age
+            );
+            return wrong("from the future", text);
         }
         let now = Accepted { stamp: reading.stamp, axes };
         let Some(last) = self.last else { return Ok(Some(now)) };
         if reading.stamp <= last.stamp {
-            return Err(Rejection::NotNewer { stamp: reading.stamp, last: last.stamp });
+            let text = format!(
+                "stamp {} is not after the last accepted one, {}; send each reading once and in \
+                 order",
+                reading.stamp, last.stamp
+            );
+            return wrong("not newer", text);
         }
         self.check_jump(&last, now).map(Some)
     }
@@ -258,7 +245,9 @@ impl Climber {
                 reading.names.iter().enumerate().filter(|(_, n)| **n == joint.name).map(|(i, _)| i);
             *slot = found.next();
             if found.next().is_some() {
-                return Err(Rejection::DuplicateJoint { joint: joint.name.clone() });
+                let text = "occurs twice in one message; name each joint once";
+                let text = format!("the joint `{}` {text}", joint.name);
+                return Err(Rejection { kind: "duplicate joint", text });
             }
         }
         match indices {
@@ -266,10 +255,12 @@ impl Climber {
             [Some(x), Some(y), Some(turn)] => Ok(Some([x, y, turn])),
             _ => {
                 let missing = indices.iter().position(Option::is_none).unwrap_or(0);
-                Err(Rejection::MissingJoint {
-                    joint: self.config.joints[missing].name.clone(),
-                    axis: Axis::ALL[missing],
-                })
+                let (joint, axis) = (&self.config.joints[missing].name, Axis::ALL[missing]);
+                let text = format!(
+                    "the joint `{joint}` ({axis}) is missing; publish all three joints in one \
+                     message, or set the parameter joints.{axis} to its name"
+                );
+                Err(Rejection { kind: "missing joint", text })
             }
         }
     }
@@ -281,12 +272,15 @@ impl Climber {
     fn jump(&self, before: &Accepted, after: &Accepted, seconds: f64) -> Option<Rejection> {
         Axis::ALL.into_iter().zip(&self.config.joints).enumerate().find_map(|(i, (axis, joint))| {
             let jump = change(axis, before.axes[i], after.axes[i]);
-            let allowed = joint.max_speed * seconds + 3.0 * SQRT_2 * joint.uncertainty;
-            (jump.abs() > allowed).then_some(Rejection::Jump {
-                axis,
-                jump,
-                seconds,
-                limit: joint.max_speed,
+            let limit = joint.max_speed;
+            let allowed = limit * seconds + 3.0 * SQRT_2 * joint.uncertainty;
+            (jump.abs() > allowed).then(|| {
+                let (unit, name) = (axis.unit(), axis.limit_name());
+                let text = format!(
+                    "{axis} jumped by {jump:.4} {unit} in {seconds:.3} s, faster than \
+                     `max_speed.{name}` = {limit} {unit}/s; check the encoder, or raise the limit"
+                );
+                Rejection { kind: "jump", text }
             })
         })
     }

@@ -19,15 +19,6 @@ impl Axis {
     /// All three axes, in the order of [`ClimberConfig::joints`].
     pub const ALL: [Axis; 3] = [Axis::RailX, Axis::RailY, Axis::Turn];
 
-    /// Name of the axis in the parameters.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Axis::RailX => "rail_x",
-            Axis::RailY => "rail_y",
-            Axis::Turn => "turn",
-        }
-    }
-
     /// Name of the axis in `max_speed.*` and `uncertainty.*`, which the two rails share.
     pub const fn limit_name(self) -> &'static str {
         match self {
@@ -45,9 +36,14 @@ impl Axis {
     }
 }
 
+/// Name of the axis in the parameters.
 impl fmt::Display for Axis {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
+        f.write_str(match self {
+            Axis::RailX => "rail_x",
+            Axis::RailY => "rail_y",
+            Axis::Turn => "turn",
+        })
     }
 }
 
@@ -93,7 +89,7 @@ impl JointCalibration {
     /// Returns the default of an axis: readings in its unit, and its own name.
     fn of(axis: Axis) -> Self {
         Self {
-            name: axis.name().to_owned(),
+            name: axis.to_string(),
             scale: 1.0,
             zero: 0.0,
             uncertainty: 0.001,

@@ -10,6 +10,6 @@ mod config;
 pub mod node;
 mod rejection;
 
-pub use climber::{Climber, Counts, JointReading, Output, Warning};
+pub use climber::{Climber, Counts, JointReading, Output};
 pub use config::{Axis, ClimberConfig, ConfigError, JointCalibration};
-pub use rejection::Rejection;
+pub use rejection::{Rejection, Warning};

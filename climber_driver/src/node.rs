@@ -84,10 +84,7 @@ impl ClimberParameters {
 }
 
 /// A reading with its time of receipt.
-pub struct Received {
-    reading: JointReading,
-    at: Stamp,
-}
+pub type Received = (JointReading, Stamp);
 
 /// Shell of the node `climber_driver`.
 pub struct ClimberNode {
@@ -130,14 +127,12 @@ impl NodeShell for ClimberNode {
             topics::JOINT_STATES,
             QosPreset::State,
             move |message: std::sync::Arc<JointState>| {
-                Some(Received {
-                    reading: JointReading {
-                        stamp: convert::stamp(&message.header.stamp),
-                        names: message.name.clone(),
-                        positions: message.position.clone(),
-                    },
-                    at: clock.now(),
-                })
+                let reading = JointReading {
+                    stamp: convert::stamp(&message.header.stamp),
+                    names: message.name.clone(),
+                    positions: message.position.clone(),
+                };
+                Some((reading, clock.now()))
             },
         )?;
         Ok(Self {
@@ -150,8 +145,8 @@ impl NodeShell for ClimberNode {
         })
     }
 
-    fn handle(&mut self, context: &mut NodeContext<Received>, input: Received) {
-        self.climber.handle(&input.reading, input.at);
+    fn handle(&mut self, context: &mut NodeContext<Received>, (reading, received): Received) {
+        self.climber.handle(&reading, received);
         while let Some(output) = self.climber.poll() {
             match output {
                 Output::Sample(sample) => {

@@ -10,7 +10,7 @@ const TICKS_PER_DAY: i64 = 864_000_000;
 const NANOS_PER_TICK: i64 = 100_000;
 
 /// Device time of one message.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Placed {
     /// Time since the first message, ns.
     pub device: i64,
@@ -74,6 +74,7 @@ impl DeviceTime {
         let Some(last) = self.last else {
             return self.first(m, arrival, false);
         };
+        let repeated = Placed { device: last.device, repeated: true, ..Placed::default() };
         let elapsed = arrival.seconds_since(last.arrival);
         let by_counter = m.counter.zip(last.counter).map(|(now, before)| {
             // After a long dropout the arrival determines how often the counter has wrapped.
@@ -86,16 +87,17 @@ impl DeviceTime {
             let ticks = fine_step(now, before, elapsed);
             let advance = ticks.saturating_mul(NANOS_PER_TICK);
             if by_counter == Some(0) || ticks == 0 && by_counter.is_none() {
-                return self.repeated(last);
+                return repeated;
             }
             if ticks < 0 || inconsistent(advance as f64 * 1e-9, elapsed) {
                 return self.first(m, arrival, true);
             }
+            let device = last.device.saturating_add(advance);
             let lost = by_counter.map_or(0, |step| (step - 1 - self.others).max(0) as u64);
-            return self.later(m, arrival, last.device.saturating_add(advance), lost);
+            return self.remember(m, arrival, Placed { device, lost, ..Placed::default() });
         }
         let step = match by_counter {
-            Some(0) => return self.repeated(last),
+            Some(0) => return repeated,
             Some(step) => (step - self.others).max(1),
             // Without a counter the message is the next one, however late it is: those behind it
             // arrive at the same time.
@@ -107,27 +109,20 @@ impl DeviceTime {
         self.count = self.count.saturating_add(step);
         let device =
             (i128::from(self.count) * i128::from(self.period.0) / i128::from(self.period.1)) as i64;
-        self.later(m, arrival, device, (step - 1) as u64)
+        let lost = (step - 1) as u64;
+        self.remember(m, arrival, Placed { device, lost, ..Placed::default() })
     }
 
     fn first(&mut self, m: &Measurement, arrival: Stamp, restarted: bool) -> Placed {
         self.count = 0;
-        self.remember(m, arrival, 0);
-        Placed { device: 0, lost: 0, restarted, repeated: false }
+        self.remember(m, arrival, Placed { restarted, ..Placed::default() })
     }
 
-    fn later(&mut self, m: &Measurement, arrival: Stamp, device: i64, lost: u64) -> Placed {
-        self.remember(m, arrival, device);
-        Placed { device, lost, restarted: false, repeated: false }
-    }
-
-    fn repeated(&self, last: Last) -> Placed {
-        Placed { device: last.device, lost: 0, restarted: false, repeated: true }
-    }
-
-    fn remember(&mut self, m: &Measurement, arrival: Stamp, device: i64) {
+    fn remember(&mut self, m: &Measurement, arrival: Stamp, placed: Placed) -> Placed {
+        let device = placed.device;
         self.others = 0;
         self.last = Some(Last { counter: m.counter, fine: m.sample_time_fine, device, arrival });
+        placed
     }
 }
 
@@ -167,10 +162,7 @@ mod tests {
         for k in 0..1_440_000_i64 {
             // One hour at 400 Hz: 22 wraps.
             let placed = time.place(&counted(counter), at(k as f64 * 0.0025));
-            assert_eq!(
-                placed,
-                Placed { device: k * 2_500_000, lost: 0, restarted: false, repeated: false }
-            );
+            assert_eq!(placed, Placed { device: k * 2_500_000, ..Placed::default() });
             counter = counter.wrapping_add(1);
         }
     }

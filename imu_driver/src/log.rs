@@ -2,8 +2,7 @@
 
 use crate::protocol::{
     Configuration, DecodeError, Decoder, FrameParser, LegacyFormat, Measurement, MessageId,
-    ParserCounts,
-    configuration::{CONFIGURATION_LENGTH, output_configuration_from_data},
+    ParserCounts, configuration::output_configuration_from_data,
 };
 use std::io::{self, Write};
 use thiserror::Error;
@@ -15,32 +14,9 @@ pub const CSV_HEADER: &str =
 /// Error of decoding a log.
 #[derive(Debug, Error)]
 pub enum LogError {
-    /// The log is empty.
-    #[error("the log is empty; record one with `volant imu log`")]
-    Empty,
-    /// The log, of this number of bytes, contains no frame.
-    #[error("no valid frame in {0} bytes; give the raw bytes of an IMU")]
-    Foreign(usize),
-    /// The format of this number of MTData messages is unknown.
-    #[error(
-        "{0} legacy MTData messages, but no Configuration with their format; \
-         give the Configuration of the IMU with --config CONFIGURATION.bin"
-    )]
-    NoConfiguration(u64),
-    /// No message fits the Configuration.
-    #[error("none of {frames} data messages could be decoded: {reason}")]
-    Unreadable {
-        /// Number of messages.
-        frames: u64,
-        /// Error of the first message.
-        reason: DecodeError,
-    },
-    /// This number of bytes is not a Configuration.
-    #[error(
-        "{0} bytes are not a Configuration; give the answer to ReqConfiguration \
-         (118 bytes, or the frame of 123 bytes) or an output configuration"
-    )]
-    NotConfiguration(usize),
+    /// No message can be decoded, with the reason and the remedy.
+    #[error("{0}")]
+    Invalid(String),
     /// The CSV cannot be written.
     #[error("the CSV cannot be written: {0}")]
     Write(#[from] io::Error),
@@ -62,13 +38,13 @@ pub struct LogCounts {
 /// `None` for an output configuration: MTData2 identifies its format.
 ///
 /// # Errors
-/// [`LogError::NotConfiguration`].
-pub fn saved_configuration(bytes: &[u8]) -> Result<Option<LegacyFormat>, LogError> {
+/// The bytes are neither.
+pub fn saved_configuration(bytes: &[u8]) -> Result<Option<LegacyFormat>, String> {
     if let Some(format) = configuration_in(bytes) {
         return Ok(Some(format));
     }
-    if bytes.len() == CONFIGURATION_LENGTH {
-        return Ok(Configuration::from_data(bytes).ok().map(|c| c.format));
+    if let Ok(configuration) = Configuration::from_data(bytes) {
+        return Ok(Some(configuration.format));
     }
     let mut framed = false;
     FrameParser::new()
@@ -76,7 +52,11 @@ pub fn saved_configuration(bytes: &[u8]) -> Result<Option<LegacyFormat>, LogErro
     if framed || (!bytes.is_empty() && output_configuration_from_data(bytes).is_ok()) {
         return Ok(None);
     }
-    Err(LogError::NotConfiguration(bytes.len()))
+    Err(format!(
+        "{} bytes are not a Configuration; give the answer to ReqConfiguration (118 bytes, or the \
+         frame of 123 bytes) or an output configuration",
+        bytes.len()
+    ))
 }
 
 /// Legacy format of the first Configuration message in `bytes`.
@@ -109,8 +89,9 @@ pub fn decode_to_csv(
     format: Option<LegacyFormat>,
     out: &mut impl Write,
 ) -> Result<LogCounts, LogError> {
+    let invalid = |reason: String| Err(LogError::Invalid(reason));
     if log.is_empty() {
-        return Err(LogError::Empty);
+        return invalid("the log is empty; record one with `volant imu log`".into());
     }
     let mut decoder = Decoder { format: format.or_else(|| configuration_in(log)) };
     let mut counts = LogCounts::default();
@@ -133,11 +114,17 @@ pub fn decode_to_csv(
         }
     });
     written?;
+    let unreadable = counts.unreadable;
     match first_error {
-        _ if counts.parser.frames == 0 => Err(LogError::Foreign(log.len())),
-        Some(DecodeError::NoConfiguration) => Err(LogError::NoConfiguration(counts.unreadable)),
-        Some(reason) if counts.rows == 0 && counts.unreadable > 0 => {
-            Err(LogError::Unreadable { frames: counts.unreadable, reason })
+        _ if counts.parser.frames == 0 => {
+            invalid(format!("no valid frame in {} bytes; give the raw bytes of an IMU", log.len()))
+        }
+        Some(DecodeError::NoConfiguration) => invalid(format!(
+            "{unreadable} legacy MTData messages, but no Configuration with their format; give \
+             the Configuration of the IMU with --config CONFIGURATION.bin"
+        )),
+        Some(reason) if counts.rows == 0 && unreadable > 0 => {
+            invalid(format!("none of {unreadable} data messages could be decoded: {reason}"))
         }
         _ => Ok(counts),
     }
@@ -145,6 +132,14 @@ pub fn decode_to_csv(
 
 fn csv_row(m: &Measurement, row: &mut String) {
     use std::fmt::Write as _;
+    fn numbers<const N: usize>(row: &mut String, values: Option<[f64; N]>) {
+        for i in 0..N {
+            row.push(',');
+            if let Some(values) = values {
+                let _ = write!(row, "{}", values[i]);
+            }
+        }
+    }
     row.clear();
     // Writing to a string cannot fail.
     if let Some(counter) = m.counter {
@@ -154,20 +149,9 @@ fn csv_row(m: &Measurement, row: &mut String) {
     if let Some(fine) = m.sample_time_fine {
         let _ = write!(row, "{fine}");
     }
-    let mut numbers = |values: Option<&[f64]>, n: usize| {
-        for i in 0..n {
-            row.push(',');
-            if let Some(value) = values.and_then(|v| v.get(i)) {
-                let _ = write!(row, "{value}");
-            }
-        }
-    };
-    numbers(m.acceleration.as_ref().or(m.acceleration_hr.as_ref()).map(|v| v.as_slice()), 3);
-    numbers(
-        m.angular_velocity.as_ref().or(m.angular_velocity_hr.as_ref()).map(|v| v.as_slice()),
-        3,
-    );
-    numbers(m.quaternion().as_ref().map(|v| v.as_slice()), 4);
+    numbers(row, m.acceleration.or(m.acceleration_hr));
+    numbers(row, m.angular_velocity.or(m.angular_velocity_hr));
+    numbers(row, m.quaternion());
     row.push('\n');
 }
 
@@ -192,7 +176,8 @@ mod tests {
         };
         LegacyFormat::STANDARD.encode(&m, &mut data);
         let log = frame(MessageId::MT_DATA, &data);
-        assert!(matches!(table(&log, None), Err(LogError::NoConfiguration(1))));
+        let error = |log: &[u8], format| table(log, format).unwrap_err().to_string();
+        assert!(error(&log, None).starts_with("1 legacy MTData messages, but no Configuration"));
         let (text, counts) = table(&log, Some(LegacyFormat::STANDARD)).unwrap();
         assert_eq!(text, format!("{CSV_HEADER}\n7,,1,2,9.5,0,0,0,1,0,0,0\n"));
         assert_eq!((counts.rows, counts.parser.frames), (1, 1));
@@ -208,14 +193,12 @@ mod tests {
         assert!(saved_configuration(&[1, 2, 3]).is_err());
         let with_configuration = [log.clone(), framed].concat();
         assert_eq!(table(&with_configuration, None).unwrap().1.rows, 1);
-        let wrong = LegacyFormat::default();
-        assert!(matches!(table(&log, Some(wrong)), Err(LogError::Unreadable { frames: 1, .. })));
+        let wrong = Some(LegacyFormat::default());
+        assert!(error(&log, wrong).starts_with("none of 1 data messages could be decoded"));
     }
 
     #[test]
-    fn invalid_logs_are_rejected() {
-        assert!(matches!(table(&[], None), Err(LogError::Empty)));
-        assert!(matches!(table(b"not a log", None), Err(LogError::Foreign(9))));
+    fn a_frame_that_is_cut_off_is_skipped() {
         let cut = frame(MessageId::MT_DATA2, &[0x10, 0x20, 2, 1, 2]);
         let log = [&cut[..], &cut[..6]].concat();
         let (_, counts) = table(&log, None).unwrap();

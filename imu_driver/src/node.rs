@@ -91,7 +91,7 @@ impl NodeShell for ImuNode {
         let rig = context.rig()?;
         let config = DriverConfig { step_patience: PATIENCE, ..parameters.core.clone() };
         let (first_baud, two_stop_bits) = (config.first_baud(), config.two_stop_bits);
-        let driver = Driver::new(config).map_err(|e| NodeError::shell(e.to_string()))?;
+        let driver = Driver::new(config).map_err(NodeError::shell)?;
         let data = context.advertise(topics::IMU, QosPreset::Sensor)?;
         let magnetic_field = context.advertise("imu/mag", QosPreset::Sensor)?;
         let temperature = context.advertise("imu/temperature", QosPreset::Sensor)?;
@@ -298,21 +298,20 @@ impl ImuNode {
             _ => {}
         }
         // Events that may occur many times per second are throttled; the diagnostics count them.
-        match event {
-            Event::Lost(_) => context.log_throttled(level, "lost", line),
-            Event::DeviceFault(_) => context.log_throttled(level, "fault", line),
-            Event::ClockSet(_) | Event::ClockStepped(_) | Event::DeviceRestarted => {
-                context.log_throttled(level, "clock", line)
-            }
+        let key: &str = match event {
+            Event::Lost(_) => "lost",
+            Event::DeviceFault(_) => "fault",
+            Event::ClockSet(_) | Event::ClockStepped(_) | Event::DeviceRestarted => "clock",
+            Event::DriftExceeded => "drift",
             // Repeated with every attempt to start a device that does not measure.
-            Event::Silent(_) => context.log_throttled(level, "silent", line),
+            Event::Silent(_) => "silent",
             Event::Found(_)
             | Event::Measuring(_)
             | Event::Rejected { .. }
-            | Event::Unanswered(_) => context.log_throttled(level, &line, &line),
-            Event::DriftExceeded => context.log_throttled(level, "drift", line),
-            _ => context.log(level, line),
-        }
+            | Event::Unanswered(_) => &line,
+            _ => return context.log(level, line),
+        };
+        context.log_throttled(level, key, &line);
     }
 }
 

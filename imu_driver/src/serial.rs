@@ -11,43 +11,11 @@ use std::{
     os::fd::AsRawFd,
     time::Duration,
 };
-use thiserror::Error;
 
 /// Timeout of reading, so that timers run.
 const READ_TIMEOUT: Duration = Duration::from_millis(20);
 /// Interval of the status, s.
 const STATUS_INTERVAL: f64 = 0.5;
-
-/// Error of opening a port.
-#[derive(Debug, Error)]
-pub enum PortError {
-    /// The port at this path does not exist.
-    #[error(
-        "the serial port {0} does not exist; \
-         connect the IMU, or give its port (`volant imu find` lists ports)"
-    )]
-    Missing(String),
-    /// The user has no permission for the port at this path.
-    #[error(
-        "no permission to open the serial port {0}; \
-         add the user to the group that owns it (usually `dialout`) and log in again"
-    )]
-    Forbidden(String),
-    /// Another program uses the port at this path.
-    #[error(
-        "the serial port {0} is in use by another program; \
-         stop that program (ModemManager opens such ports)"
-    )]
-    Busy(String),
-    /// Any other error.
-    #[error("the serial port {port} cannot be opened: {reason}; check that it is a serial port")]
-    Other {
-        /// Path of the port.
-        port: String,
-        /// Error of the system.
-        reason: String,
-    },
-}
 
 /// Open serial port.
 pub struct Port {
@@ -60,12 +28,17 @@ impl Port {
     /// Opens a port exclusively: 8 data bits, no parity, no flow control.
     ///
     /// # Errors
-    /// [`PortError`] with the remedy.
-    pub fn open(port: &str, baud: u32, two_stop_bits: bool) -> Result<Self, PortError> {
+    /// The reason, with the path of the port and the remedy.
+    pub fn open(port: &str, baud: u32, two_stop_bits: bool) -> Result<Self, String> {
         let stop_bits = if two_stop_bits { StopBits::Two } else { StopBits::One };
-        let named = || port.to_owned();
+        let missing = || {
+            format!(
+                "the serial port {port} does not exist; connect the IMU, or give its port (`volant \
+                 imu find` lists ports)"
+            )
+        };
         if !std::path::Path::new(port).exists() {
-            return Err(PortError::Missing(named()));
+            return Err(missing());
         }
         let tty = serialport::new(port, baud)
             .data_bits(DataBits::Eight)
@@ -77,15 +50,20 @@ impl Port {
             .map_err(|error| {
                 let text = error.to_string();
                 match error.kind {
-                    serialport::ErrorKind::Io(ErrorKind::PermissionDenied) => {
-                        PortError::Forbidden(named())
-                    }
-                    serialport::ErrorKind::Io(ErrorKind::NotFound) => PortError::Missing(named()),
-                    _ if text.contains("busy") => PortError::Busy(named()),
-                    serialport::ErrorKind::NoDevice if text.contains("No such") => {
-                        PortError::Missing(named())
-                    }
-                    _ => PortError::Other { port: named(), reason: text },
+                    serialport::ErrorKind::Io(ErrorKind::PermissionDenied) => format!(
+                        "no permission to open the serial port {port}; add the user to the group \
+                         that owns it (usually `dialout`) and log in again"
+                    ),
+                    serialport::ErrorKind::Io(ErrorKind::NotFound) => missing(),
+                    _ if text.contains("busy") => format!(
+                        "the serial port {port} is in use by another program; stop that program \
+                         (ModemManager opens such ports)"
+                    ),
+                    serialport::ErrorKind::NoDevice if text.contains("No such") => missing(),
+                    _ => format!(
+                        "the serial port {port} cannot be opened: {text}; check that it is a \
+                         serial port"
+                    ),
                 }
             })?;
         let low_latency = set_low_latency(&tty);
@@ -182,7 +160,7 @@ pub struct Runner {
     pub driver: Driver,
     /// Report the received bytes too.
     pub raw: bool,
-    /// Open port for the first [`Output::Open`].
+    /// The port, if it is open.
     pub opened: Option<Port>,
 }
 
@@ -198,7 +176,6 @@ impl Runner {
         mut report: impl FnMut(Report) -> bool,
         mut go_on: impl FnMut() -> bool,
     ) {
-        let mut port: Option<Port> = None;
         let mut buffer = [0_u8; 4096];
         let mut status_at = now();
         self.driver.handle(Input::Tick { at: now() });
@@ -213,41 +190,8 @@ impl Runner {
                         }
                         report(Report::Event(event))
                     }
-                    Output::Close => {
-                        port = None;
-                        true
-                    }
-                    Output::Open { baud, two_stop_bits } => {
-                        let opened = match self.opened.take() {
-                            Some(port) => Ok(port),
-                            None => Port::open(&self.port, baud, two_stop_bits),
-                        };
-                        match opened {
-                            Ok(opened) => {
-                                port = Some(opened);
-                                self.driver.handle(Input::Opened { at: now() });
-                            }
-                            Err(error) => {
-                                let reason = error.to_string();
-                                self.driver
-                                    .handle(Input::OpenFailed { at: now(), reason: &reason });
-                            }
-                        }
-                        true
-                    }
-                    Output::SetBaud(baud) => {
-                        if let Some(Err(reason)) = port.as_mut().map(|p| p.set_baud(baud)) {
-                            port = None;
-                            self.driver.handle(Input::Lost { at: now(), reason: &reason });
-                        }
-                        true
-                    }
-                    Output::Write(bytes) => {
-                        if let Some(Err(error)) = port.as_mut().map(|p| p.tty.write_all(&bytes)) {
-                            port = None;
-                            self.driver
-                                .handle(Input::Lost { at: now(), reason: &error.to_string() });
-                        }
+                    command => {
+                        self.execute(command, &now);
                         true
                     }
                 };
@@ -266,13 +210,13 @@ impl Runner {
                     state: self.driver.state(),
                     measuring: self.driver.is_measuring(),
                     identity: self.driver.identity().clone(),
-                    low_latency: port.as_ref().is_some_and(|p| p.low_latency),
+                    low_latency: self.opened.as_ref().is_some_and(|p| p.low_latency),
                 };
                 if !report(Report::Status(Box::new(status))) {
                     return;
                 }
             }
-            let Some(open) = &mut port else {
+            let Some(open) = &mut self.opened else {
                 std::thread::sleep(READ_TIMEOUT);
                 self.driver.handle(Input::Tick { at: now() });
                 continue;
@@ -294,10 +238,7 @@ impl Runner {
                     }
                     self.driver.handle(Input::Bytes { bytes, arrival });
                 }
-                Ok(_) => {
-                    port = None;
-                    self.driver.handle(Input::Lost { at: now(), reason: "adapter disconnected" });
-                }
+                Ok(_) => self.lost(now(), "adapter disconnected"),
                 Err(error)
                     if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted) =>
                 {
@@ -306,11 +247,46 @@ impl Runner {
                     }
                     self.driver.handle(Input::Tick { at: now() });
                 }
-                Err(error) => {
-                    port = None;
-                    self.driver.handle(Input::Lost { at: now(), reason: &error.to_string() });
-                }
+                Err(error) => self.lost(now(), &error.to_string()),
             }
         }
+    }
+
+    /// Executes a command of the driver on the port.
+    fn execute(&mut self, command: Output, now: &impl Fn() -> Stamp) {
+        let done = match command {
+            Output::Open { baud, two_stop_bits } => {
+                if self.opened.is_none() {
+                    match Port::open(&self.port, baud, two_stop_bits) {
+                        Ok(port) => self.opened = Some(port),
+                        Err(reason) => {
+                            let failed = Input::OpenFailed { at: now(), reason: &reason };
+                            return self.driver.handle(failed);
+                        }
+                    }
+                }
+                return self.driver.handle(Input::Opened { at: now() });
+            }
+            Output::Close => {
+                self.opened = None;
+                return;
+            }
+            Output::SetBaud(baud) => self.opened.as_mut().map(|p| p.set_baud(baud)),
+            Output::Write(bytes) => {
+                let port = self.opened.as_mut();
+                port.map(|p| p.tty.write_all(&bytes).map_err(|e| e.to_string()))
+            }
+            // Reported.
+            Output::Sample(_) | Output::Event(_) => None,
+        };
+        if let Some(Err(reason)) = done {
+            self.lost(now(), &reason);
+        }
+    }
+
+    /// Closes the port after an error.
+    fn lost(&mut self, at: Stamp, reason: &str) {
+        self.opened = None;
+        self.driver.handle(Input::Lost { at, reason });
     }
 }

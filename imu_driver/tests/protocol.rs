@@ -49,12 +49,13 @@ prop_compose! {
         status in any::<u8>(),
     ) -> Measurement {
         let v = |i: usize| Some([vectors[i], vectors[i + 1], vectors[i + 2]]);
+        let orientation = Some(Orientation { attitude, frame: GlobalFrame::NorthWestUp });
         Measurement {
             acceleration: v(0),
             angular_velocity: v(3),
             magnetic_field: v(6),
             temperature: Some(temperature),
-            orientation: Some(Orientation { attitude, frame: GlobalFrame::NorthWestUp }),
+            orientations: [orientation, None, None],
             counter: Some(counter),
             status: Some(Status::from_bits_retain(u32::from(status))),
             ..Measurement::default()
@@ -76,13 +77,14 @@ fn rounded(m: Measurement, format: NumberFormat) -> Measurement {
         angular_velocity: vector(m.angular_velocity),
         magnetic_field: vector(m.magnetic_field),
         temperature: m.temperature.map(round),
-        orientation: m.orientation.map(|o| Orientation {
-            attitude: match o.attitude {
+        orientations: m.orientations.map(|o| {
+            let o = o?;
+            let attitude = match o.attitude {
                 Attitude::Quaternion(q) => Attitude::Quaternion(q.map(round)),
                 Attitude::Euler(e) => Attitude::Euler(e.map(round)),
                 Attitude::Matrix(c) => Attitude::Matrix(c.map(round)),
-            },
-            ..o
+            };
+            Some(Orientation { attitude, ..o })
         }),
         ..m
     }
@@ -101,10 +103,10 @@ fn as_encoded(m: &Measurement, format: LegacyFormat) -> Measurement {
             .filter(|_| calibrated(OutputSettings::NO_ANGULAR_VELOCITY)),
         magnetic_field: m.magnetic_field.filter(|_| calibrated(OutputSettings::NO_MAGNETIC_FIELD)),
         temperature: m.temperature.filter(|_| when(OutputMode::TEMPERATURE)),
-        orientation: m
-            .orientation
-            .filter(|_| when(OutputMode::ORIENTATION))
-            .map(|o| Orientation { frame: settings.global_frame(), ..o }),
+        orientations: m.orientations.map(|o| {
+            let o = o.filter(|_| when(OutputMode::ORIENTATION))?;
+            Some(Orientation { frame: settings.global_frame(), ..o })
+        }),
         counter: m.counter.filter(|_| settings.contains(OutputSettings::COUNTER)),
         status: m.status.filter(|_| when(OutputMode::STATUS)),
         other_inertial: when(OutputMode::RAW_INERTIAL),

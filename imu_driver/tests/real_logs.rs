@@ -13,7 +13,10 @@ use imu_driver::{
     log::{decode_to_csv, frames_of},
     protocol::{Attitude, Decoder, GlobalFrame, Measurement, MessageId, frame},
 };
-use std::{collections::BTreeMap, path::PathBuf};
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
 
 fn recordings() -> Option<PathBuf> {
     Some(test_support::recordings()?.join("data/xsens"))
@@ -46,22 +49,22 @@ fn numbers(lines: &[String]) -> Vec<f64> {
     lines.iter().map(|l| l.rsplit(':').next().unwrap().parse().unwrap()).collect()
 }
 
-/// Compares one kind of data; returns 1 if the reference contains it.
-fn compare(reference: &Reference, name: &str, ours: Option<&[f64]>) -> usize {
-    let found = reference.iter().find(|(heading, _)| heading.split('(').next() == Some(name));
-    match (found, ours) {
-        (None, None) => 0,
-        (Some((heading, lines)), Some(ours)) => {
-            let theirs = numbers(lines);
-            assert_eq!(theirs, ours, "{heading}");
-            1
-        }
-        (theirs, ours) => panic!("{name}: {theirs:?} {ours:?}"),
-    }
+/// Bytes and reference of one of the recordings.
+fn recording(folder: &Path, log: usize) -> (Vec<u8>, Vec<Reference>) {
+    let folder = folder.join(log.to_string());
+    let golden = std::fs::read_to_string(folder.join("output.golden")).unwrap();
+    (std::fs::read(folder.join("output.bin")).unwrap(), reference(&golden))
+}
+
+/// Numbers of one kind of data.
+fn theirs(reference: &Reference, name: &str) -> Option<Vec<f64>> {
+    let mut kinds = reference.iter();
+    let found = kinds.find(|(heading, _)| heading.split('(').next() == Some(name));
+    found.map(|(_, lines)| numbers(lines))
 }
 
 fn attitude(m: &Measurement, wanted: &str) -> Option<Vec<f64>> {
-    std::iter::once(&m.orientation).chain(&m.further_orientations).flatten().find_map(|o| {
+    m.orientations.iter().flatten().find_map(|o| {
         assert_eq!(o.frame, GlobalFrame::EastNorthUp);
         match (wanted, o.attitude) {
             ("Quaternion", Attitude::Quaternion(q)) => Some(q.to_vec()),
@@ -77,15 +80,13 @@ fn every_used_value_of_five_recordings_equals_the_reference() {
     let Some(folder) = recordings() else { return };
     let mut compared = 0;
     for log in 1..=5 {
-        let folder = folder.join(log.to_string());
-        let bytes = std::fs::read(folder.join("output.bin")).unwrap();
-        let theirs = reference(&std::fs::read_to_string(folder.join("output.golden")).unwrap());
+        let (bytes, references) = recording(&folder, log);
         let mut ours = Vec::new();
         let mut decoder = Decoder::default();
         let counts = frames_of(&bytes, |f| ours.push(decoder.decode(&f).unwrap().unwrap()));
         assert_eq!((counts.frames, counts.bad_checksums, counts.skipped_bytes), (100, 0, 0));
-        assert_eq!((ours.len(), theirs.len()), (100, 100));
-        for (m, r) in ours.iter().zip(&theirs) {
+        assert_eq!((ours.len(), references.len()), (100, 100));
+        for (m, r) in ours.iter().zip(&references) {
             let slice3 = |v: &Option<[f64; 3]>| v.map(|v| v.to_vec());
             let whole = |v: Option<u32>| v.map(|x| vec![f64::from(x)]);
             for (name, value) in [
@@ -101,7 +102,8 @@ fn every_used_value_of_five_recordings_equals_the_reference() {
                 ("EulerAngles", attitude(m, "EulerAngles")),
                 ("RotationMatrix", attitude(m, "RotationMatrix")),
             ] {
-                compared += compare(r, name, value.as_deref());
+                assert_eq!(theirs(r, name), value, "{name}");
+                compared += usize::from(value.is_some());
             }
             let bits = |text: &String| u32::from_str_radix(text, 2).unwrap();
             let status = r.get("StatusWord").or(r.get("StatusByte")).map(|lines| bits(&lines[0]));
@@ -116,27 +118,25 @@ fn every_used_value_of_five_recordings_equals_the_reference() {
 fn the_csv_of_every_recording_has_one_row_per_message_with_its_values() {
     let Some(folder) = recordings() else { return };
     for log in 1..=5 {
-        let bytes = std::fs::read(folder.join(log.to_string()).join("output.bin")).unwrap();
-        let golden =
-            std::fs::read_to_string(folder.join(log.to_string()).join("output.golden")).unwrap();
+        let (bytes, references) = recording(&folder, log);
         let mut table = Vec::new();
         let counts = decode_to_csv(&bytes, None, &mut table).unwrap();
         assert_eq!((counts.rows, counts.unreadable), (100, 0));
         let table = String::from_utf8(table).unwrap();
-        for (row, r) in table.lines().skip(1).zip(reference(&golden)) {
+        for (row, r) in table.lines().skip(1).zip(&references) {
             let cells: Vec<&str> = row.split(',').collect();
             assert_eq!(cells.len(), 12);
             assert_eq!(cells[0], r["PacketCounter"][0]);
             for (at, name, n) in
                 [(2, "Acceleration", 3), (5, "RateOfTurn", 3), (8, "Quaternion", 4)]
             {
-                match r.iter().find(|(h, _)| h.split('(').next() == Some(name)) {
-                    Some((_, lines)) => {
-                        let cells: Vec<f64> =
-                            cells[at..at + n].iter().map(|c| c.parse().unwrap()).collect();
-                        assert_eq!(cells, numbers(lines));
+                let cells = &cells[at..at + n];
+                match theirs(r, name) {
+                    Some(values) => {
+                        let ours: Vec<f64> = cells.iter().map(|c| c.parse().unwrap()).collect();
+                        assert_eq!(ours, values);
                     }
-                    None => assert!(cells[at..at + n].iter().all(|c| c.is_empty())),
+                    None => assert!(cells.iter().all(|c| c.is_empty())),
                 }
             }
         }
@@ -169,7 +169,7 @@ fn recorded_legacy_frames_are_decoded_with_their_configuration() {
         assert!(((x * x + y * y + z * z).sqrt() - 9.81).abs() < 0.1, "{:?}", m.acceleration);
         let [w, i, j, k] = m.quaternion().unwrap();
         assert!(((w * w + i * i + j * j + k * k).sqrt() - 1.0).abs() < 1e-5);
-        assert_eq!(m.orientation.unwrap().frame, GlobalFrame::NorthWestUp);
+        assert_eq!(m.orientations[0].unwrap().frame, GlobalFrame::NorthWestUp);
         // The quaternion rotates from the sensor to the global frame: specific force points up.
         let q = nalgebra::UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, i, j, k));
         let up = q * nalgebra::Vector3::new(x, y, z);

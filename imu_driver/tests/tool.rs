@@ -121,45 +121,31 @@ fn an_imu_is_found_configured_and_logged_and_the_log_decoded() {
     let tty = path("tty");
     let config = SimulatedImuConfig { baud: 57_600, ..SimulatedImuConfig::default() };
     let imu = PtyImu::start(config, &tty, Box::new(|_| SimulatedSample::stationary())).unwrap();
-    let found = volant_imu(&["find", "--port", &tty]);
-    let text = String::from_utf8_lossy(&found.stdout).into_owned();
-    assert!(
-        found.status.success() && text.contains("MTx-28A53G25") && text.contains("57600 baud"),
-        "{text}"
-    );
-    assert_eq!(imu.with(|u, _| u.flash_writes()), Some(0));
+    let assert_prints = |arguments: &[&[&str]], texts: &[&str]| {
+        let done = volant_imu(&arguments.concat());
+        let printed = String::from_utf8_lossy(&done.stdout);
+        let complete = texts.iter().all(|text| printed.contains(*text));
+        assert!(done.status.success() && complete, "{arguments:?}: {done:?}");
+    };
+    let flash_writes = || imu.with(|u, _| u.flash_writes());
+    assert_prints(&[&["find", "--port", &tty]], &["MTx-28A53G25", "57600 baud"]);
+    assert_eq!(flash_writes(), Some(0));
     let faster = ["--baud", "57600", "--set-baud", "115200", "--rate", "50"];
-    let set = volant_imu(&[&["configure", "--port", &tty], &faster[..]].concat());
-    let text = String::from_utf8_lossy(&set.stdout).into_owned();
-    assert!(
-        set.status.success() && text.contains("50.000 Hz") && text.contains("115200 baud"),
-        "{text} {set:?}"
-    );
-    let line = ["--port", &tty, "--baud", "115200"];
-    let info = volant_imu(&[&["info"], &line[..]].concat());
-    let text = String::from_utf8_lossy(&info.stdout).into_owned();
-    assert!(text.contains("mode 0006, settings 00000001"), "{text}");
+    assert_prints(&[&["configure", "--port", &tty], &faster], &["50.000 Hz", "115200 baud"]);
+    let line: &[&str] = &["--port", &tty, "--baud", "115200"];
+    assert_prints(&[&["info"], line], &["mode 0006, settings 00000001"]);
     // Other outputs, then the standard ones again.
     let outputs =
         ["--rate", "100", "--temperature", "--status", "--no-magnetic-field", "--no-orientation"];
-    let set = volant_imu(&[&["configure"], &line[..], &outputs].concat());
-    let text = String::from_utf8_lossy(&set.stdout).into_owned();
-    assert!(
-        set.status.success() && text.contains("mode 0803, settings 00000041"),
-        "{text} {set:?}"
-    );
-    let written = imu.with(|u, _| u.flash_writes());
-    let again = volant_imu(&[&["configure"], &line[..], &outputs].concat());
-    assert!(again.status.success() && imu.with(|u, _| u.flash_writes()) == written, "{again:?}");
-    let set = volant_imu(&[&["configure"], &line[..], &["--rate", "50"]].concat());
-    assert!(set.status.success(), "{set:?}");
-    let file = path("log.bin");
-    let out = ["--out", &file, "--duration", "1"];
-    let log = volant_imu(&[&["log"], &line[..], &out].concat());
-    assert!(log.status.success(), "{log:?}");
-    let decoded = volant_imu(&["decode", &path("log.bin"), "--csv", &path("log.csv")]);
-    assert!(decoded.status.success(), "{decoded:?}");
-    let rows = std::fs::read_to_string(path("log.csv")).unwrap().lines().count();
+    assert_prints(&[&["configure"], line, &outputs], &["mode 0803, settings 00000041"]);
+    let written = flash_writes();
+    assert_prints(&[&["configure"], line, &outputs], &[]);
+    assert_eq!(flash_writes(), written);
+    assert_prints(&[&["configure"], line, &["--rate", "50"]], &[]);
+    let (log, csv) = (path("log.bin"), path("log.csv"));
+    assert_prints(&[&["log"], line, &["--out", &log, "--duration", "1"]], &[]);
+    assert_prints(&[&["decode", &log, "--csv", &csv]], &[]);
+    let rows = std::fs::read_to_string(csv).unwrap().lines().count();
     // Includes data of the stream before the configuration.
     assert!((50..90).contains(&rows), "{rows}");
     drop(imu);

@@ -3,7 +3,7 @@
 
 use crate::{
     geometry::{Geometry, PoseObservation},
-    scan::Blob,
+    scan::Patch,
 };
 use nalgebra::{Isometry3, Matrix2, Vector3};
 use rig_model::{MarkerColor, PerColor, planar_pose::closed_form};
@@ -12,7 +12,7 @@ use rig_model::{MarkerColor, PerColor, planar_pose::closed_form};
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Hypothesis {
     pub camera_from_volant: Isometry3<f64>,
-    pub blobs: PerColor<Option<usize>>,
+    pub patches: PerColor<Option<usize>>,
     /// Lower is better: reprojection error over the squares' side, and disagreement of the areas.
     pub score: f64,
 }
@@ -64,26 +64,26 @@ fn insert_ranked<T>(ranked: &mut Vec<(f64, T)>, most: usize, rank: f64, item: T)
 /// first, into `found` (cleared before).
 pub(crate) fn hypotheses(
     geometry: Geometry<'_>,
-    blobs: &[Blob],
+    patches: &[Patch],
     strictness: Strictness,
     extent: Extent,
     found: &mut Vec<Hypothesis>,
 ) {
     found.clear();
     let layout = geometry.layout;
-    let mut search = Search { geometry, blobs, strictness, found };
+    let mut search = Search { geometry, patches, strictness, found };
     let by_threes = extent == Extent::Threes;
     // The most colourful and most square patches first; of wood and cardboard there may be
     // hundreds. Three alone must be whole.
     let mut of: PerColor<Vec<(f64, usize)>> = PerColor::default();
-    for (i, blob) in blobs.iter().enumerate() {
-        let fill = blob.fill();
+    for (i, patch) in patches.iter().enumerate() {
+        let fill = patch.fill();
         let fills = if by_threes { 0.8..1.2 } else { 0.55..1.35 };
-        if !fills.contains(&fill) || blob.elongation() >= 5.0 || (by_threes && blob.cut) {
+        if !fills.contains(&fill) || patch.elongation() >= 5.0 || (by_threes && patch.cut) {
             continue;
         }
-        let merit = f64::from(blob.saturation()) * (-2.0 * fill.ln().abs()).exp();
-        insert_ranked(&mut of[blob.color], PER_COLOR, -merit, i);
+        let merit = f64::from(patch.saturation()) * (-2.0 * fill.ln().abs()).exp();
+        insert_ranked(&mut of[patch.color], PER_COLOR, -merit, i);
     }
     let mut fours: Vec<(f64, [usize; 4])> = Vec::new();
     for first in 0..(if by_threes { 4 } else { 1 }) {
@@ -106,14 +106,14 @@ pub(crate) fn hypotheses(
         let reach = u.norm().max(v.norm()) / layout.side;
         for &(_, ia) in &of[a] {
             for &(_, ib) in &of[b] {
-                let (ba, bb) = (&blobs[ia], &blobs[ib]);
+                let (ba, bb) = (&patches[ia], &patches[ib]);
                 let side = (ba.area * bb.area).sqrt().sqrt();
                 let limit = 2.6 * side * reach + 10.0;
                 if (ba.centroid - bb.centroid).norm() > limit || !like_areas(ba.area, bb.area) {
                     continue;
                 }
                 for &(_, ic) in &of[c] {
-                    let bc = &blobs[ic];
+                    let bc = &patches[ic];
                     if !like_areas(ba.area, bc.area) || !like_areas(bb.area, bc.area) {
                         continue;
                     }
@@ -126,7 +126,7 @@ pub(crate) fn hypotheses(
                     if !by_threes {
                         let guess = ba.centroid + iu * s + iv * t;
                         for &(_, id) in &of[d] {
-                            let bd = &blobs[id];
+                            let bd = &patches[id];
                             let off = (bd.centroid - guess).norm();
                             if off >= 0.35 * reach * side + 3.0 || !like_areas(area, bd.area) {
                                 continue;
@@ -170,7 +170,7 @@ fn like_areas(a: f64, b: f64) -> bool {
 /// A search for hypotheses.
 struct Search<'a> {
     geometry: Geometry<'a>,
-    blobs: &'a [Blob],
+    patches: &'a [Patch],
     strictness: Strictness,
     found: &'a mut Vec<Hypothesis>,
 }
@@ -184,12 +184,12 @@ impl Search<'_> {
         let (mut chosen, mut pixels) = (PerColor([None; 4]), PerColor([None; 4]));
         for (i, color) in indices.into_iter().zip(colors) {
             chosen[color] = Some(i);
-            pixels[color] = Some((self.blobs[i].centroid, Matrix2::identity()));
+            pixels[color] = Some((self.patches[i].centroid, Matrix2::identity()));
         }
         let Some(mut starts) = closed_form(layout, camera, &pixels) else { return };
         let observations: [PoseObservation; N] = std::array::from_fn(|k| PoseObservation {
             color: colors[k],
-            pixel: self.blobs[indices[k]].centroid,
+            pixel: self.patches[indices[k]].centroid,
             sigma: 1.0,
             outline: None,
         });
@@ -240,7 +240,7 @@ impl Search<'_> {
             let Some(predicted) = layout.projected_centroid(color, camera, &pose) else { return };
             // The scan loses a rim of blurred pixels, and covers cost area, so less is forgiven
             // sooner than more.
-            let ratio = self.blobs[index].area / predicted.area;
+            let ratio = self.patches[index].area / predicted.area;
             let side_here = predicted.area.sqrt();
             let rim = ((side_here - 2.0) / side_here).max(0.3).powi(2);
             let off = (ratio / rim.sqrt()).ln();
@@ -258,7 +258,7 @@ impl Search<'_> {
             self.found.sort_unstable_by(|a, b| a.score.total_cmp(&b.score));
             self.found.truncate(2 * KEEP);
         }
-        self.found.push(Hypothesis { camera_from_volant: pose, blobs: chosen, score });
+        self.found.push(Hypothesis { camera_from_volant: pose, patches: chosen, score });
     }
 }
 
@@ -281,17 +281,17 @@ mod tests {
             let centroid = Vector2::new(319.5 + 500.0 * center.x + shift, 239.5 - 500.0 * center.y);
             let (area, spread) = (38.0 * 38.0, Matrix2::identity() * (38.0 * 38.0 / 12.0));
             let rgb = if cut { [200.0, 0.0, 0.0] } else { [200.0, 50.0, 50.0] };
-            Blob { color, centroid, area, spread, rgb, cut }
+            Patch { color, centroid, area, spread, rgb, cut }
         };
         let seen = [MarkerColor::Red, MarkerColor::Green, MarkerColor::Blue];
-        let mut blobs: Vec<Blob> = seen.into_iter().map(|c| patch(c, 0.0, false)).collect();
+        let mut patches: Vec<Patch> = seen.into_iter().map(|c| patch(c, 0.0, false)).collect();
         for k in 1..6 {
-            blobs.extend(seen.into_iter().map(|c| patch(c, f64::from(k), true)));
+            patches.extend(seen.into_iter().map(|c| patch(c, f64::from(k), true)));
         }
         let (geometry, mut found) = (Geometry { layout: &layout, camera: &camera }, Vec::new());
         let strictness = Strictness { reprojection: 0.08, area: 1.8 };
-        hypotheses(geometry, &blobs, strictness, Extent::Threes, &mut found);
+        hypotheses(geometry, &patches, strictness, Extent::Threes, &mut found);
         let whole = PerColor([Some(0), Some(1), Some(2), None]);
-        assert!(found.iter().any(|h| h.blobs == whole), "{found:?}");
+        assert!(found.iter().any(|h| h.patches == whole), "{found:?}");
     }
 }

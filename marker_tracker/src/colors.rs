@@ -4,7 +4,7 @@
 use crate::{
     config::TrackerConfig,
     image::{ImageError, ImageView, Pixels},
-    scan::{Blob, ScanConfig, Scanner},
+    scan::{Patch, ScanConfig, Scanner},
     signal::mean_rgb,
     tracker::{Input, Output, Tracker},
 };
@@ -64,13 +64,11 @@ impl ColorCalibration {
         if let Some(tracker) = &mut self.tracker {
             tracker.handle(Input::Image(*image));
             while let Some(output) = tracker.poll() {
-                if let Output::Observations(o) = output {
-                    for (color, _) in
-                        o.markers.iter().filter(|(_, m)| m.state == MarkerState::Detected)
-                    {
-                        let rgb = tracker.views()[color].color;
-                        found[color] = rgb.map(|rgb| rgb.map(f64::from));
-                    }
+                let Output::Observations(o) = output else { continue };
+                let views = tracker.views();
+                for (color, _) in o.markers.iter().filter(|(_, m)| m.state == MarkerState::Detected)
+                {
+                    found[color] = views[color].color.map(|rgb| rgb.map(f64::from));
                 }
             }
         } else {
@@ -109,24 +107,11 @@ impl ColorCalibration {
     }
 }
 
-/// A patch of one of the markers' colors.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Patch {
-    /// Marker whose color it has.
-    pub color: MarkerColor,
-    /// Centroid of its pixels, px.
-    pub centroid: Vector2<f64>,
-    /// Area, px².
-    pub area: f64,
-    /// Mean color, r, g, b of 0–255.
-    pub rgb: [f32; 3],
-}
-
-fn is_square(blob: &Blob) -> bool {
-    !blob.cut
-        && (0.75..1.25).contains(&blob.fill())
-        && blob.elongation() < 2.0
-        && blob.saturation() > 0.2
+fn is_square(patch: &Patch) -> bool {
+    !patch.cut
+        && (0.75..1.25).contains(&patch.fill())
+        && patch.elongation() < 2.0
+        && patch.saturation() > 0.2
 }
 
 /// Finds the square-like patches of the markers' colors of at least `min_area` px² in an image, the
@@ -148,10 +133,8 @@ pub fn find_patches(image: &ImageView<'_>, min_area: f64) -> Result<Vec<Patch>, 
     };
     let mut scanner = Scanner::default();
     scanner.scan(&Pixels::whole(*image, None), [0, 0, w, h], &config);
-    let squares = scanner.blobs.iter().filter(|b| is_square(b));
-    let mut patches: Vec<Patch> = squares
-        .map(|b| Patch { color: b.color, centroid: b.centroid, area: b.area, rgb: b.rgb })
-        .collect();
+    let mut patches = scanner.patches;
+    patches.retain(is_square);
     patches.sort_by(|a, b| b.area.total_cmp(&a.area));
     Ok(patches)
 }

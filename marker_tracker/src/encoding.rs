@@ -29,7 +29,7 @@ pub fn from_encoding<'a>(
         _ if encoding.starts_with("mono")
             || ["8UC1", "8SC1", "16UC1", "16SC1", "32FC1", "64FC1"].contains(&encoding) =>
         {
-            return Err(ImageError::NoColor { encoding: encoding.to_owned() });
+            return Err(ImageError::NoColor(encoding.to_owned()));
         }
         #[cfg(feature = "opencv")]
         _ => {
@@ -43,8 +43,8 @@ pub fn from_encoding<'a>(
                 || ["uyvy", "yuyv"].contains(&encoding);
             let encoding = encoding.to_owned();
             return Err(match is_known {
-                true => ImageError::NeedsOpencv { encoding },
-                false => ImageError::UnknownEncoding { encoding },
+                true => ImageError::NeedsOpencv(encoding),
+                false => ImageError::UnknownEncoding(encoding),
             });
         }
     };

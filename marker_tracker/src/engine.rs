@@ -11,20 +11,15 @@ use std::fmt::Debug;
 
 /// A tracking method. What a method does not have is its default.
 pub(crate) trait Engine: Debug + Send + Sync {
-    /// Processes one image, whose fields must have passed [`ImageView::check`].
+    /// Processes one image, whose fields must have passed [`ImageView::check`]. `None`, without any
+    /// effect, where more of it is needed than the [`windows`](Self::windows) that are decoded.
     ///
     /// # Errors
     /// The reason why the image library failed.
-    fn process(&mut self, image: &Pixels<'_>) -> Result<MarkerObservations, String>;
+    fn process(&mut self, image: &Pixels<'_>) -> Result<Option<MarkerObservations>, String>;
 
     /// Where an image of this stamp will be read, px; `None` where all of it is needed.
     fn windows(&self, _stamp: Stamp) -> Option<[Window; 4]> {
-        None
-    }
-
-    /// Processes one image of which only some windows are decoded. `None`, without any effect,
-    /// where anything else of it is needed.
-    fn process_windows(&mut self, _image: &Pixels<'_>) -> Option<MarkerObservations> {
         None
     }
 

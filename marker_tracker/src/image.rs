@@ -5,9 +5,10 @@ use std::{cell::Cell, ops::Deref};
 use thiserror::Error;
 
 /// Order of the 8-bit channels in memory.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum PixelFormat {
     /// Red, green, blue.
+    #[default]
     Rgb8,
     /// Blue, green, red.
     Bgr8,
@@ -35,33 +36,24 @@ impl PixelFormat {
 /// Why an image cannot be used.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum ImageError {
-    /// An encoding without color.
+    /// An encoding without color, as in the message.
     #[error(
-        "image encoding `{encoding}` has no color, which identifies the markers; set the camera to \
+        "image encoding `{0}` has no color, which identifies the markers; set the camera to \
          rgb8, bgr8, Bayer or YUV 4:2:2"
     )]
-    NoColor {
-        /// As in the message.
-        encoding: String,
-    },
-    /// An encoding that is not supported.
+    NoColor(String),
+    /// An encoding that is not supported, as in the message.
     #[error(
-        "image encoding `{encoding}` is not supported; use rgb8, bgr8, rgba8, bgra8, bayer_*8, \
+        "image encoding `{0}` is not supported; use rgb8, bgr8, rgba8, bgra8, bayer_*8, \
          bayer_*16, yuv422 (uyvy), yuv422_yuy2 (yuyv), jpeg (YCbCr or RGB) or png"
     )]
-    UnknownEncoding {
-        /// As in the message.
-        encoding: String,
-    },
-    /// An encoding that needs the `opencv` feature.
+    UnknownEncoding(String),
+    /// An encoding that needs the `opencv` feature, as in the message.
     #[error(
-        "image encoding `{encoding}` is converted by OpenCV, which this build omits; build with \
+        "image encoding `{0}` is converted by OpenCV, which this build omits; build with \
          feature `opencv`"
     )]
-    NeedsOpencv {
-        /// As in the message.
-        encoding: String,
-    },
+    NeedsOpencv(String),
     /// 16-bit values of which the upper bits are not used.
     #[error(
         "image encoding `{encoding}` with values up to {largest} of 65535: they are in the low \
@@ -122,12 +114,9 @@ pub enum ImageError {
         /// Largest supported number.
         limit: usize,
     },
-    /// Neither jpeg nor png.
-    #[error("compressed image of format `{format}` is neither jpeg nor png; set the camera to one")]
-    UnknownCompression {
-        /// As in the message.
-        format: String,
-    },
+    /// A format, as in the message, that is neither jpeg nor png.
+    #[error("compressed image of format `{0}` is neither jpeg nor png; set the camera to one")]
+    UnknownCompression(String),
 }
 
 /// Borrowed pixels of one image.
@@ -250,7 +239,7 @@ impl<'a> Deref for Pixels<'a> {
 }
 
 /// Pixels of one image with their memory, which is reused from image to image.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct OwnedImage {
     /// Width, px.
     pub width: usize,
@@ -262,12 +251,6 @@ pub struct OwnedImage {
     pub format: PixelFormat,
     /// `height` rows of `step` bytes.
     pub data: Vec<u8>,
-}
-
-impl Default for OwnedImage {
-    fn default() -> Self {
-        Self { width: 0, height: 0, step: 0, format: PixelFormat::Rgb8, data: Vec::new() }
-    }
 }
 
 impl OwnedImage {

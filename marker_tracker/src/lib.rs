@@ -49,7 +49,7 @@ mod signal;
 mod tracker;
 mod tracking;
 
-pub use colors::{CalibratedColor, ColorCalibration, Patch, find_patches};
+pub use colors::{CalibratedColor, ColorCalibration, find_patches};
 #[cfg(feature = "opencv")]
 pub use config::BinaryThreshold;
 pub use config::{Method, TrackerConfig};
@@ -58,4 +58,5 @@ pub use decode::{Decoder, PartialImage, decode_compressed, decode_compressed_int
 pub use encoding::from_encoding;
 pub use hue::hue;
 pub use image::{ImageError, ImageView, OwnedImage, PixelFormat};
+pub use scan::Patch;
 pub use tracker::{Input, Output, Tracker, Warning};

@@ -82,41 +82,20 @@ impl Quad {
         })
     }
 
-    /// The pixels inside, row by row.
-    pub fn spans(&self) -> Spans {
-        Spans(std::array::from_fn(|i| {
-            let (p, q) = (self.0[i], self.0[(i + 1) % 4]);
-            let slope = if p.y == q.y { 0.0 } else { (q.x - p.x) / (q.y - p.y) };
-            SpanSide { low: p.y.min(q.y), high: p.y.max(q.y), x: p.x - slope * p.y, slope }
-        }))
-    }
-
     /// Thickness (px): the area over the longest side.
     pub fn thickness_of(&self, area: f64) -> f64 {
         let longest = self.sides().iter().map(|side| side.norm()).fold(0.0, f64::max);
         if longest > 0.0 { area.abs() / longest } else { 0.0 }
     }
-}
 
-/// A side of a quadrangle: its range of y, x at y = 0, and ∂x/∂y.
-struct SpanSide {
-    low: f64,
-    high: f64,
-    x: f64,
-    slope: f64,
-}
-
-/// The pixels inside of a quadrangle.
-pub(crate) struct Spans([SpanSide; 4]);
-
-impl Spans {
     /// Whole columns inside on row `y`, from (included) to (excluded); `None` where there is none.
-    #[inline(always)]
-    pub fn at(&self, y: f64) -> Option<(i32, i32)> {
+    pub fn span(&self, y: f64) -> Option<(i32, i32)> {
         let (mut from, mut to) = (f64::INFINITY, f64::NEG_INFINITY);
-        for side in &self.0 {
-            if side.low <= y && y < side.high {
-                let x = side.x + side.slope * y;
+        for i in 0..4 {
+            let (p, q) = (self.0[i], self.0[(i + 1) % 4]);
+            if p.y.min(q.y) <= y && y < p.y.max(q.y) {
+                let slope = (q.x - p.x) / (q.y - p.y);
+                let x = p.x - slope * p.y + slope * y;
                 from = from.min(x);
                 to = to.max(x);
             }
@@ -135,23 +114,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn spans_hold_the_whole_columns_inside() {
-        let quad = Quad(
-            [(10.2, 5.5), (30.7, 5.5), (30.7, 20.5), (10.2, 20.5)].map(|(x, y)| Vector2::new(x, y)),
-        );
-        let spans = quad.spans();
+    fn a_span_holds_the_whole_columns_inside() {
+        let quad = |corners: [(f64, f64); 4]| Quad(corners.map(|(x, y)| Vector2::new(x, y)));
+        let level = quad([(10.2, 5.5), (30.7, 5.5), (30.7, 20.5), (10.2, 20.5)]);
         for y in -3..30 {
             let inside = (6..=20).contains(&y);
-            assert_eq!(spans.at(f64::from(y)), inside.then_some((11, 31)), "{y}");
+            assert_eq!(level.span(f64::from(y)), inside.then_some((11, 31)), "{y}");
         }
-        let tip = Quad(
-            [(10.25, 0.0), (20.25, 10.0), (10.25, 20.0), (0.25, 10.0)]
-                .map(|(x, y)| Vector2::new(x, y)),
-        );
-        assert_eq!(tip.spans().at(10.0), Some((1, 21)));
-        assert_eq!(tip.spans().at(3.0), Some((8, 14)));
+        let tip = quad([(10.25, 0.0), (20.25, 10.0), (10.25, 20.0), (0.25, 10.0)]);
+        assert_eq!(tip.span(10.0), Some((1, 21)));
+        assert_eq!(tip.span(3.0), Some((8, 14)));
         for beside in [-1.0, 20.5, 400.0] {
-            assert_eq!(tip.spans().at(beside), None, "{beside}");
+            assert_eq!(tip.span(beside), None, "{beside}");
         }
     }
 }

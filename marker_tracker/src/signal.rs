@@ -84,7 +84,7 @@ pub(crate) struct Sampler<'a> {
     light: Option<Form>,
     /// Whether the signal is divided by the light.
     in_any_light: bool,
-    /// Signal per unit of what [`Sampler::eight`] and [`Sampler::each`] return.
+    /// Signal per unit of what [`Sampler::eight`] and [`Sampler::units`] return.
     pub scale: f32,
     /// As in [`Discriminant`].
     pub saturated: bool,
@@ -132,9 +132,10 @@ impl<'a> Sampler<'a> {
         Self::UNITS * self.signal.scale / light.scale
     }
 
+    /// Signal of the pixel with this first byte, in units of the scale; 0 outside of the image.
     #[inline(always)]
-    fn sum(&self, pixel: &[u8]) -> i32 {
-        let [a, b, c] = [pixel[0], pixel[1], pixel[2]];
+    pub fn units(&self, begin: u32) -> i32 {
+        let [a, b, c, _] = self.word(begin).to_le_bytes();
         let signal = self.signal.of(a, b, c);
         match &self.light {
             Some(light) if self.in_any_light => {
@@ -145,22 +146,18 @@ impl<'a> Sampler<'a> {
         }
     }
 
-    /// Light on a pixel, in units of that of the samples; 1 where nothing measures it.
-    pub fn light(&self, pixel: &[u8]) -> f32 {
-        match &self.light {
-            Some(light) => light.of(pixel[0], pixel[1], pixel[2]) as f32 * light.scale,
-            None => 1.0,
-        }
+    /// Light on the pixel with this first byte, in units of that of the samples; 1 where nothing
+    /// measures it.
+    pub fn light(&self, begin: u32) -> f32 {
+        let [a, b, c, _] = self.word(begin).to_le_bytes();
+        self.light.as_ref().map_or(1.0, |light| light.of(a, b, c) as f32 * light.scale)
     }
 
     /// Signal at a pixel; `None` outside of the image.
     #[inline(always)]
     pub fn at(&self, x: i32, y: i32) -> Option<f32> {
-        if x < 0 || y < 0 || x >= self.width || y >= self.height {
-            return None;
-        }
-        let start = self.begin(x, y) as usize;
-        Some(self.sum(self.data.get(start..start + 3)?) as f32 * self.scale)
+        let is_inside = (0..self.width).contains(&x) && (0..self.height).contains(&y);
+        is_inside.then(|| self.one(self.begin(x, y)))
     }
 
     /// Records that a line's pixels from (`x0`, `y0`) to (`x1`, `y1`) are read.
@@ -212,18 +209,13 @@ impl<'a> Sampler<'a> {
     /// Signal of the pixel with this first byte; 0 outside of the image.
     #[inline(always)]
     pub fn one(&self, begin: u32) -> f32 {
-        self.sum(&self.word(begin).to_le_bytes()) as f32 * self.scale
+        self.units(begin) as f32 * self.scale
     }
 
     /// Signals of eight pixels from their first bytes, in units of the scale.
     #[inline(always)]
     pub fn eight(&self, begin: &[u32; 8]) -> f32x8 {
-        let words = self.words(begin);
-        let signal = self.signal.eight(words);
-        match &self.light {
-            Some(light) if self.in_any_light => self.divided(signal, light.eight(words), light),
-            _ => signal,
-        }
+        self.eight_with_light(begin).0
     }
 
     /// The same, and the light on these pixels; 1 where nothing measures it.
@@ -233,15 +225,13 @@ impl<'a> Sampler<'a> {
         let signal = self.signal.eight(words);
         let Some(form) = &self.light else { return (signal, f32x8::ONE) };
         let light = form.eight(words);
-        let signal = if self.in_any_light { self.divided(signal, light, form) } else { signal };
+        let signal = if self.in_any_light {
+            let least = f32x8::splat(Self::MIN_LIGHT / form.scale);
+            signal * f32x8::splat(self.ratio(form)) / light.fast_max(least)
+        } else {
+            signal
+        };
         (signal, light * f32x8::splat(form.scale))
-    }
-
-    /// Signals divided by the light, both as weighted sums.
-    #[inline(always)]
-    fn divided(&self, signal: f32x8, light: f32x8, form: &Form) -> f32x8 {
-        let least = f32x8::splat(Self::MIN_LIGHT / form.scale);
-        signal * f32x8::splat(self.ratio(form)) / light.fast_max(least)
     }
 
     #[inline(always)]
@@ -258,40 +248,6 @@ impl<'a> Sampler<'a> {
             self.word(g),
             self.word(h),
         ])
-    }
-
-    /// A line of `count` pixels from (`x`, `y`) on, every `stride`-th along x (`axis` 0) or y
-    /// (`axis` 1): its bytes and their distance from pixel to pixel; `None` where one is outside of
-    /// the image.
-    #[inline(always)]
-    pub fn line(
-        &self,
-        x: i32,
-        y: i32,
-        axis: usize,
-        count: i32,
-        stride: i32,
-    ) -> Option<(&'a [u8], usize)> {
-        if count < 1 || x < 0 || y < 0 {
-            return None;
-        }
-        let reach = (count - 1) * stride;
-        let (x1, y1) = if axis == 0 { (x + reach, y) } else { (x, y + reach) };
-        if x1 >= self.width || y1 >= self.height {
-            return None;
-        }
-        self.read([x, y], [x1, y1]);
-        let start = y as usize * self.step + x as usize * self.bytes;
-        let hop = if axis == 0 { self.bytes } else { self.step } * stride as usize;
-        Some((self.data.get(start..start + (count as usize - 1) * hop + 3)?, hop))
-    }
-
-    /// Calls `f` with the index and the weighted sum of each pixel of a line.
-    #[inline(always)]
-    pub fn each(&self, bytes: &[u8], hop: usize, mut f: impl FnMut(i32, i32)) {
-        for (j, pixel) in bytes.chunks(hop).enumerate() {
-            f(j as i32, self.sum(pixel));
-        }
     }
 }
 
@@ -343,7 +299,7 @@ mod tests {
     use rig_model::Stamp;
 
     #[test]
-    fn lines_and_single_pixels_agree() {
+    fn eight_pixels_and_single_ones_agree() {
         let data: Vec<u8> =
             (0..20 * 60u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
         let discriminant =
@@ -359,21 +315,17 @@ mod tests {
             assert!((sampler.at(x, y).unwrap() - wanted).abs() < tolerance);
         }
         for (axis, step) in [(0, (1, 0)), (1, (0, 1))] {
-            let (bytes, hop) = sampler.line(3, 4, axis, 8, 1).unwrap();
-            assert_eq!(hop, sampler.hop(axis) as usize);
-            let begin = std::array::from_fn(|j| sampler.begin(3, 4) + (j * hop) as u32);
-            let eight = sampler.eight(&begin).to_array();
-            sampler.each(bytes, hop, |j, value| {
-                assert_eq!(value as f32, eight[j as usize]);
+            let begin = std::array::from_fn(|j| sampler.begin(3, 4) + j as u32 * sampler.hop(axis));
+            for (j, value) in (0..).zip(sampler.eight(&begin).to_array()) {
+                assert_eq!(value, sampler.units(begin[j as usize]) as f32);
                 let at = sampler.at(3 + step.0 * j, 4 + step.1 * j).unwrap();
-                assert_eq!(value as f32 * sampler.scale, at);
-            });
+                assert_eq!(value * sampler.scale, at);
+            }
         }
         // The last pixel has no byte after it.
         let last = sampler.eight(&[sampler.begin(13, 19); 8]).to_array();
         assert_eq!(last[7] * sampler.scale, sampler.at(13, 19).unwrap());
         assert!(sampler.at(14, 0).is_none() && sampler.at(0, -1).is_none());
-        assert!(sampler.line(10, 0, 0, 5, 1).is_none() && sampler.line(10, 0, 0, 4, 1).is_some());
     }
 
     #[test]

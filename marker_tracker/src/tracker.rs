@@ -52,18 +52,15 @@ pub enum Warning {
     },
     /// The camera model is for another image size.
     #[error(
-        "camera_info is for {camera_width}x{camera_height}, but images are {width}x{height}; no \
-         marker is detected in them: set the camera to the calibrated size or calibrate at this one"
+        "camera_info is for {}x{}, but images are {}x{}; no marker is detected in them: set the \
+         camera to the calibrated size or calibrate at this one",
+        .camera.0, .camera.1, .image.0, .image.1
     )]
     CameraSize {
-        /// Of the camera model, px.
-        camera_width: u32,
-        /// Of the camera model, px.
-        camera_height: u32,
+        /// Width and height of the camera model, px.
+        camera: (u32, u32),
         /// Of the image, px.
-        width: usize,
-        /// Of the image, px.
-        height: usize,
+        image: (usize, usize),
     },
     /// The image is a copy of the previous one with another stamp.
     #[error(
@@ -115,12 +112,12 @@ pub struct Tracker {
 impl Tracker {
     /// Creates a tracker for markers at these places of the platform (volant frame, m).
     pub fn new(layout: MarkerLayout, config: TrackerConfig) -> Self {
-        Self {
-            engine: config.method.engine(layout, config),
-            last_stamp: None,
-            reported_size: None,
-            outputs: VecDeque::with_capacity(8),
-        }
+        Self::with(config.method.engine(layout, config))
+    }
+
+    fn with(engine: Box<dyn Engine>) -> Self {
+        let outputs = VecDeque::with_capacity(8);
+        Self { engine, last_stamp: None, reported_size: None, outputs }
     }
 
     /// Processes the next input; its outputs wait in [`Tracker::poll`].
@@ -130,26 +127,22 @@ impl Tracker {
                 self.reported_size = None;
                 self.engine.set_camera(camera);
             }
-            Input::Image(image) => match self.check(&image) {
-                Ok(()) => self.process(&Pixels::whole(image, None)),
-                Err(warning) => self.warn(warning),
-            },
+            Input::Image(image) => {
+                self.process(&Pixels::whole(image, None));
+            }
         }
     }
 
     /// Processes a compressed image as [`Input::Image`] of it, and decodes what is missing of it.
     pub fn handle_partial(&mut self, image: &mut PartialImage<'_>) {
-        if let Err(warning) = self.check(&image.view()) {
-            return self.warn(warning);
+        if self.process(&image.pixels()) {
+            return;
         }
-        let observations =
-            image.windows().and_then(|windows| self.engine.process_windows(&windows));
-        match observations {
-            Some(observations) => self.finish(&image.view(), observations),
-            None => match image.whole() {
-                Ok(_) => self.process(&image.pixels()),
-                Err(error) => self.warn(Warning::Image(error)),
-            },
+        match image.whole() {
+            Ok(_) => {
+                self.process(&image.pixels());
+            }
+            Err(error) => self.warn(Warning::Image(error)),
         }
     }
 
@@ -168,27 +161,31 @@ impl Tracker {
         }
     }
 
-    fn process(&mut self, image: &Pixels<'_>) {
-        match self.engine.process(image) {
-            Ok(observations) => self.finish(image, observations),
-            Err(reason) => self.warn(Warning::Library { stamp: image.stamp, reason }),
-        }
-    }
-
-    fn finish(&mut self, image: &ImageView<'_>, observations: MarkerObservations) {
+    /// Processes an image; false, without any effect, where more of it is needed than is decoded.
+    fn process(&mut self, image: &Pixels<'_>) -> bool {
+        let failed = |reason| Warning::Library { stamp: image.stamp, reason };
+        let checked = self.check(image);
+        let observations = match checked.and_then(|()| self.engine.process(image).map_err(failed)) {
+            Ok(Some(observations)) => observations,
+            Ok(None) => return false,
+            Err(warning) => {
+                self.warn(warning);
+                return true;
+            }
+        };
         self.last_stamp = Some(image.stamp);
         self.outputs.push_back(Output::Observations(observations));
-        let (width, height) = (image.width, image.height);
-        if let Some((camera_width, camera_height)) = self.engine.mismatched_camera_size(image)
-            && self.reported_size != Some((width, height))
+        let size = (image.width, image.height);
+        if let Some(camera) = self.engine.mismatched_camera_size(image)
+            && self.reported_size.replace(size) != Some(size)
         {
-            self.reported_size = Some((width, height));
-            self.warn(Warning::CameraSize { camera_width, camera_height, width, height });
+            self.warn(Warning::CameraSize { camera, image: size });
         }
         let images = self.engine.repeated();
         if images > 0 {
             self.warn(Warning::Repeated { stamp: image.stamp, images });
         }
+        true
     }
 
     fn warn(&mut self, warning: Warning) {
@@ -232,7 +229,7 @@ mod tests {
     struct Failing;
 
     impl Engine for Failing {
-        fn process(&mut self, _: &Pixels<'_>) -> Result<MarkerObservations, String> {
+        fn process(&mut self, _: &Pixels<'_>) -> Result<Option<MarkerObservations>, String> {
             Err("no memory".to_owned())
         }
 
@@ -245,12 +242,7 @@ mod tests {
 
     #[test]
     fn an_image_at_which_the_library_fails_is_reported_and_ignored() {
-        let mut tracker = Tracker {
-            engine: Box::new(Failing),
-            last_stamp: None,
-            reported_size: None,
-            outputs: VecDeque::new(),
-        };
+        let mut tracker = Tracker::with(Box::new(Failing));
         let (stamp, image) = (Stamp::default(), drawn(1, 1, 0, &[]));
         tracker.handle(Input::Image(image.view(stamp)));
         let warning = Warning::Library { stamp, reason: "no memory".to_owned() };

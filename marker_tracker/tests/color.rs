@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::panic)] // clippy does not recognize helpers of tests
 
-use marker_tracker::{ImageView, Patch, PixelFormat, decode_compressed, find_patches};
+use marker_tracker::{OwnedImage, Patch, PixelFormat, decode_compressed, find_patches};
 use nalgebra::Vector2;
 use rig_model::{MarkerColor, Stamp};
 use std::{
@@ -11,22 +11,8 @@ use std::{
     process::{Command, Stdio},
 };
 
-const WIDTH: usize = 632;
-const HEIGHT: usize = 468;
-
 fn folder() -> Option<PathBuf> {
     Some(test_support::recordings()?.join("data/colour"))
-}
-
-fn view(data: &[u8]) -> ImageView<'_> {
-    ImageView {
-        stamp: Stamp::from_nanos(0),
-        width: WIDTH,
-        height: HEIGHT,
-        step: 3 * WIDTH,
-        format: PixelFormat::Rgb8,
-        data,
-    }
 }
 
 /// Patches in the first image, located by eye: color and center, px. Pink paper has red's hue. (A
@@ -66,11 +52,12 @@ fn every_patch_is_found_throughout_the_video() {
         return;
     };
     let mut pipe = child.stdout.take().unwrap();
-    let mut data = vec![0u8; 3 * WIDTH * HEIGHT];
+    let (width, height, step, format) = (632, 468, 3 * 632, PixelFormat::Rgb8);
+    let mut image = OwnedImage { width, height, step, format, data: vec![0; step * height] };
     let mut found = [0usize; FIRST.len()];
     let mut images = 0;
-    while pipe.read_exact(&mut data).is_ok() {
-        let patches = find_patches(&view(&data), 60.0).unwrap();
+    while pipe.read_exact(&mut image.data).is_ok() {
+        let patches = find_patches(&image.view(Stamp::default()), 60.0).unwrap();
         for (count, (color, x, y)) in found.iter_mut().zip(FIRST) {
             assert!(
                 images > 0 || is_found(&patches, color, (x, y), 4.0),
@@ -104,7 +91,7 @@ fn the_patches_of_a_still_image_are_found() {
     let Some(folder) = folder() else { return };
     let bytes = std::fs::read(folder.join("field_640x480.png")).unwrap();
     let image = decode_compressed("png", &bytes).unwrap();
-    let patches = find_patches(&image.view(Stamp::from_nanos(0)), 40.0).unwrap();
+    let patches = find_patches(&image.view(Stamp::default()), 40.0).unwrap();
     for color in [MarkerColor::Blue, MarkerColor::Green, MarkerColor::Yellow] {
         let count = patches.iter().filter(|p| p.color == color).count();
         eprintln!("{color}: {count} patches");

@@ -107,18 +107,6 @@ fn with_two_hidden_markers_none_is_predicted() {
 }
 
 #[test]
-fn the_printed_threshold_finds_no_muted_paper() {
-    let of = |share, of_maximum| {
-        let method = Method::Paper(BinaryThreshold { share, of_maximum });
-        let images = drawn(&TrackerConfig { method, ..paper() }, 2, |_| ALL);
-        images[1].markers.0.iter().filter(|m| m.state == MarkerState::Detected).count()
-    };
-    assert_eq!(of(0.75, false), 0);
-    assert_eq!(of(0.16, false), 4);
-    assert_eq!(of(0.75, true), 4);
-}
-
-#[test]
 fn every_pixel_format_gives_the_same_observations() {
     let rgb = draw(&pose(0.0), ALL, &mut Noise(5));
     in_other_formats(&paper(), &rgb, |format, reference, found| {

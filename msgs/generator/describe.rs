@@ -5,42 +5,35 @@
 //! `type_description_interfaces/msg/TypeDescription` without default values.
 
 use super::{
-    GenerateError, Interfaces,
-    parse::{Base, Count, Interface, Name, Primitive},
+    Interfaces,
+    parse::{Base, Count, Interface, Name},
 };
 use sha2::{Digest, Sha256};
-use std::{collections::BTreeMap, fmt::Write};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fmt::Write,
+};
 
-/// Names of all messages nested in `message`, depth first, without itself.
-fn used(set: &Interfaces, message: &Interface) -> Result<Vec<Name>, GenerateError> {
-    fn visit(
-        set: &Interfaces,
-        message: &Interface,
-        found: &mut Vec<Name>,
-    ) -> Result<(), GenerateError> {
-        for field in &message.fields {
-            if let Base::Nested(name) = &field.base
-                && !found.contains(name)
-            {
-                found.push(name.clone());
-                visit(set, set.get(name)?, found)?;
-            }
+/// Adds the names of all messages nested in `message` to `found`, depth first.
+fn find_nested(set: &Interfaces, message: &Interface, found: &mut Vec<Name>) -> Result<(), String> {
+    for field in &message.fields {
+        if let Base::Nested(name) = &field.base
+            && !found.contains(name)
+        {
+            found.push(name.clone());
+            find_nested(set, set.get(name)?, found)?;
         }
-        Ok(())
     }
-    let mut found = vec![];
-    visit(set, message, &mut found)?;
-    Ok(found)
+    Ok(())
 }
 
 /// Definition text: the message, then each nested message after a line of 80 `=` and a line
 /// `MSG: package/Name`.
-///
-/// # Errors
-/// A nested type has no file.
-pub fn definition(set: &Interfaces, message: &Interface) -> Result<String, GenerateError> {
+pub fn definition(set: &Interfaces, message: &Interface) -> Result<String, String> {
     let mut text = message.text.trim_end().to_owned() + "\n";
-    for name in used(set, message)? {
+    let mut nested = vec![];
+    find_nested(set, message, &mut nested)?;
+    for name in nested {
         let rule = "=".repeat(80);
         text += &format!("{rule}\nMSG: {}/{}\n", name.package, name.name);
         text += set.get(&name)?.text.trim_end();
@@ -50,8 +43,8 @@ pub fn definition(set: &Interfaces, message: &Interface) -> Result<String, Gener
 }
 
 /// A field as `type_description_interfaces/msg/Field` describes it.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Described {
+#[derive(Debug)]
+pub struct Field {
     /// Field name.
     pub name: String,
     /// One of `FieldType`'s constants.
@@ -66,11 +59,10 @@ pub struct Described {
     pub default: String,
 }
 
-impl Described {
-    fn nested(name: &str, type_id: u32, capacity: u64, of: &Name) -> Self {
-        let nested = of.to_string();
-        let (name, default) = (name.to_owned(), String::new());
-        Self { name, type_id, capacity, string_capacity: 0, nested, default }
+impl Field {
+    fn nested(name: &str, type_id: u32, capacity: u64, nested: &str) -> Self {
+        let (name, nested) = (name.to_owned(), nested.to_owned());
+        Self { name, type_id, capacity, string_capacity: 0, nested, default: String::new() }
     }
 
     // The hash covers these exact bytes: one space after each comma and colon, keys in this order.
@@ -87,14 +79,44 @@ const FIXED: u32 = 48;
 const BOUNDED: u32 = 96;
 const UNBOUNDED: u32 = 144;
 
-/// Fields of a message.
-pub fn message_fields(message: &Interface) -> Vec<Described> {
+/// Fields of every type by full name: of messages, services and the events of services.
+pub type Types = BTreeMap<String, Vec<Field>>;
+
+/// Describes all types.
+pub fn types(set: &Interfaces) -> Types {
+    let messages = set.messages.iter();
+    let mut all: Types = messages.map(|(n, m)| (n.to_string(), message_fields(m))).collect();
+    for service in &set.services {
+        let [request, response, event] = service_parts(service).map(|name| name.to_string());
+        let one = |name: &str, nested: &str| Field::nested(name, NESTED, 0, nested);
+        let optional = |name: &str, nested: &str| Field::nested(name, NESTED + BOUNDED, 1, nested);
+        all.insert(
+            service.to_string(),
+            vec![
+                one("request_message", &request),
+                one("response_message", &response),
+                one("event_message", &event),
+            ],
+        );
+        all.insert(
+            event,
+            vec![
+                one("info", "service_msgs/msg/ServiceEventInfo"),
+                optional("request", &request),
+                optional("response", &response),
+            ],
+        );
+    }
+    all
+}
+
+fn message_fields(message: &Interface) -> Vec<Field> {
     message
         .fields
         .iter()
         .map(|field| {
             let (type_id, string_capacity, nested) = match &field.base {
-                Base::Primitive(p) => (p.type_id(), 0, String::new()),
+                Base::Primitive(p) => (p.type_id, 0, String::new()),
                 Base::String(None) => (17, 0, String::new()),
                 Base::String(Some(bound)) => (21, *bound, String::new()),
                 Base::Nested(name) => (NESTED, 0, name.to_string()),
@@ -106,7 +128,7 @@ pub fn message_fields(message: &Interface) -> Vec<Described> {
                 Count::Unbounded => (UNBOUNDED, 0),
             };
             let default = field.default.as_deref().map(|text| default_text(&field.base, text));
-            Described {
+            Field {
                 name: field.name.clone(),
                 type_id: type_id + offset,
                 capacity,
@@ -120,11 +142,11 @@ pub fn message_fields(message: &Interface) -> Vec<Described> {
 
 fn default_text(base: &Base, written: &str) -> String {
     match base {
-        Base::Primitive(Primitive::Bool) => {
+        Base::Primitive(p) if p.rust == "bool" => {
             let yes = ["true", "True", "1"].contains(&written);
             if yes { "True" } else { "False" }.to_owned()
         }
-        Base::Primitive(Primitive::Float32 | Primitive::Float64) => {
+        Base::Primitive(p) if p.is_float() => {
             written.parse::<f64>().map_or_else(|_| written.to_owned(), |x| format!("{x:?}"))
         }
         _ => written.trim_matches(['"', '\'']).to_owned(),
@@ -137,78 +159,38 @@ pub fn service_parts(service: &Name) -> [Name; 3] {
         .map(|suffix| Name::new(&service.package, "srv", &format!("{}{suffix}", service.name)))
 }
 
-/// Fields of a service.
-pub fn service_fields(service: &Name) -> Vec<Described> {
-    let [request, response, event] = service_parts(service);
-    vec![
-        Described::nested("request_message", NESTED, 0, &request),
-        Described::nested("response_message", NESTED, 0, &response),
-        Described::nested("event_message", NESTED, 0, &event),
-    ]
-}
-
-/// Fields of the event of service introspection.
-pub fn event_fields(service: &Name) -> Vec<Described> {
-    let [request, response, _] = service_parts(service);
-    vec![
-        Described::nested("info", NESTED, 0, &event_info()),
-        Described::nested("request", NESTED + BOUNDED, 1, &request),
-        Described::nested("response", NESTED + BOUNDED, 1, &response),
-    ]
-}
-
-fn event_info() -> Name {
-    Name::new("service_msgs", "msg", "ServiceEventInfo")
-}
-
-/// RIHS01 hash of a message, `RIHS01_` and 64 hexadecimal digits.
-///
-/// # Errors
-/// A nested type has no file.
-pub fn message_hash(set: &Interfaces, message: &Interface) -> Result<String, GenerateError> {
-    let mut referenced = BTreeMap::new();
-    for name in used(set, message)? {
-        referenced.insert(name.to_string(), message_fields(set.get(&name)?));
-    }
-    Ok(hash(&message.name, &message_fields(message), &referenced))
-}
-
-/// RIHS01 hash of a service: request, response and the event of service introspection.
-///
-/// # Errors
-/// A nested type has no file.
-pub fn service_hash(set: &Interfaces, service: &Name) -> Result<String, GenerateError> {
-    let [request, response, event] = service_parts(service);
-    let mut referenced = BTreeMap::from([(event.to_string(), event_fields(service))]);
-    for root in [request, response, event_info()] {
-        let message = set.get(&root)?;
-        referenced.insert(root.to_string(), message_fields(message));
-        for name in used(set, message)? {
-            referenced.insert(name.to_string(), message_fields(set.get(&name)?));
+/// RIHS01 hash of a message or service, `RIHS01_` and 64 hexadecimal digits.
+pub fn hash(types: &Types, name: &Name) -> Result<String, String> {
+    let name = name.to_string();
+    let mut referenced = BTreeSet::new();
+    let mut open = vec![name.as_str()];
+    while let Some(next) = open.pop() {
+        for field in fields(types, next)? {
+            if !field.nested.is_empty() && referenced.insert(field.nested.as_str()) {
+                open.push(&field.nested);
+            }
         }
     }
-    Ok(hash(service, &service_fields(service), &referenced))
-}
-
-fn hash(
-    name: &Name,
-    fields: &[Described],
-    referenced: &BTreeMap<String, Vec<Described>>,
-) -> String {
-    let description = |name: &str, fields: &[Described]| {
-        let fields: Vec<String> = fields.iter().map(Described::json).collect();
-        format!(r#"{{"type_name": "{name}", "fields": [{}]}}"#, fields.join(", "))
+    let description = |name: &str| -> Result<String, String> {
+        let fields: Vec<String> = fields(types, name)?.iter().map(Field::json).collect();
+        Ok(format!(r#"{{"type_name": "{name}", "fields": [{}]}}"#, fields.join(", ")))
     };
-    let referenced: Vec<String> = referenced.iter().map(|(n, f)| description(n, f)).collect();
+    let referenced: Result<Vec<String>, String> =
+        referenced.into_iter().map(&description).collect();
     let json = format!(
         r#"{{"type_description": {}, "referenced_type_descriptions": [{}]}}"#,
-        description(&name.to_string(), fields),
-        referenced.join(", ")
+        description(&name)?,
+        referenced?.join(", ")
     );
     let mut text = String::from("RIHS01_");
     for byte in Sha256::digest(json.as_bytes()) {
         // Writing to a string cannot fail.
         let _ = write!(text, "{byte:02x}");
     }
-    text
+    Ok(text)
+}
+
+fn fields<'t>(types: &'t Types, name: &str) -> Result<&'t [Field], String> {
+    let unknown = || format!("{name}: is used by another interface, but there is no file for it");
+    types.get(name).map(Vec::as_slice).ok_or_else(unknown)
 }

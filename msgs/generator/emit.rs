@@ -2,8 +2,9 @@
 //! implementation and type description.
 
 use super::{
-    GenerateError, Interfaces, OWN_PACKAGE, describe,
-    parse::{Base, Constant, Count, Field, Interface, Name, Primitive},
+    Interfaces, OWN_PACKAGE,
+    describe::{self, Types},
+    parse::{Base, Constant, Count, Field, Interface, Name},
 };
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -11,50 +12,43 @@ use std::collections::{BTreeMap, BTreeSet};
 ///
 /// # Errors
 /// An interface uses an unknown type, or a constant or default does not fit its type.
-pub fn rust_source(set: &Interfaces) -> Result<String, GenerateError> {
+pub fn rust_source(set: &Interfaces) -> Result<String, String> {
+    let types = describe::types(set);
     let mut out = String::new();
     let packages: BTreeSet<&str> = set.messages.keys().map(|n| n.package.as_str()).collect();
     for package in packages {
         let own = package == OWN_PACKAGE;
         if !own {
-            line(&mut out, format!("#[doc = \"Types of the ROS package `{package}`.\"]"));
-            line(&mut out, format!("pub mod {package} {{"));
+            doc(&mut out, &format!("Types of the ROS package `{package}`."));
+            out += &format!("pub mod {package} {{\n");
         }
-        for kind in ["msg", "srv"] {
-            let messages: Vec<&Interface> = set
-                .messages
-                .values()
-                .filter(|m| m.name.package == package && m.name.kind == kind)
-                .collect();
-            if messages.is_empty() {
+        for (kind, what) in [("msg", "Messages"), ("srv", "Services")] {
+            let is_here = |name: &Name| name.package == package && name.kind == kind;
+            let mut messages = set.messages.values().filter(|m| is_here(&m.name)).peekable();
+            if messages.peek().is_none() {
                 continue;
             }
-            let what = if kind == "msg" { "Messages" } else { "Services" };
-            line(&mut out, format!("#[doc = \"{what} of the ROS package `{package}`.\"]"));
-            line(&mut out, format!("pub mod {kind} {{"));
+            doc(&mut out, &format!("{what} of the ROS package `{package}`."));
+            out += &format!("pub mod {kind} {{\n");
             for message in messages {
-                emit_message(&mut out, set, message)?;
+                emit_message(&mut out, set, &types, message)?;
             }
-            for service in set.services.iter().filter(|s| kind == "srv" && s.package == package) {
-                emit_service(&mut out, set, service)?;
+            for service in set.services.iter().filter(|&s| is_here(s)) {
+                emit_service(&mut out, service, &describe::hash(&types, service)?);
             }
-            line(&mut out, "}");
+            out += "}\n";
         }
         if !own {
-            line(&mut out, "}");
+            out += "}\n";
         }
     }
     emit_registry(&mut out, set);
+    emit_descriptions(&mut out, set, &types);
     Ok(out)
 }
 
-fn line(out: &mut String, text: impl AsRef<str>) {
-    out.push_str(text.as_ref());
-    out.push('\n');
-}
-
 fn doc(out: &mut String, text: &str) {
-    line(out, format!("#[doc = {text:?}]"));
+    *out += &format!("#[doc = {text:?}]\n");
 }
 
 /// `GetParameters_Request` → `GetParametersRequest`.
@@ -76,16 +70,12 @@ fn field_name(name: &str) -> String {
     if KEYWORDS.contains(&name) { format!("r#{name}") } else { name.to_owned() }
 }
 
-fn element_type(base: &Base) -> String {
-    match base {
-        Base::Primitive(p) => p.rust().to_owned(),
+fn field_type(field: &Field) -> String {
+    let element = match &field.base {
+        Base::Primitive(p) => p.rust.to_owned(),
         Base::String(_) => "::std::string::String".to_owned(),
         Base::Nested(name) => rust_path(name),
-    }
-}
-
-fn field_type(field: &Field) -> String {
-    let element = element_type(&field.base);
+    };
     match field.count {
         Count::One => element,
         Count::Fixed(n) => format!("[{element}; {n}]"),
@@ -93,38 +83,33 @@ fn field_type(field: &Field) -> String {
     }
 }
 
-fn serde_attribute(field: &Field) -> Option<String> {
-    let bytes = matches!(&field.base, Base::Primitive(p) if p.rust() == "u8");
+fn serde_attribute(field: &Field) -> String {
+    let bytes = matches!(&field.base, Base::Primitive(p) if p.rust == "u8");
     match field.count {
         // Same bytes on the wire; serializing element by element is 100 times slower.
         Count::Bounded(_) | Count::Unbounded if bytes => {
-            Some("#[serde(with = \"serde_bytes\")]".to_owned())
+            "#[serde(with = \"serde_bytes\")]".to_owned()
         }
         Count::Bounded(n) => {
-            Some(format!("#[serde(deserialize_with = \"crate::cdr::bounded::<_, _, {n}>\")]"))
+            format!("#[serde(deserialize_with = \"crate::cdr::bounded::<_, _, {n}>\")]")
         }
         // Serde implements arrays up to 32 elements.
-        Count::Fixed(n) if n > 32 => {
-            Some("#[serde(with = \"serde_big_array::BigArray\")]".to_owned())
-        }
-        _ => None,
+        Count::Fixed(n) if n > 32 => "#[serde(with = \"serde_big_array::BigArray\")]".to_owned(),
+        _ => String::new(),
     }
 }
 
-fn literal(base: &Base, value: &str, place: &Name) -> Result<String, GenerateError> {
-    let wrong = || GenerateError {
-        place: place.to_string(),
-        message: format!("`{value}` does not fit the type of its field or constant"),
-    };
+fn literal(base: &Base, value: &str, place: &Name) -> Result<String, String> {
+    let wrong = || format!("{place}: `{value}` does not fit the type of its field or constant");
     Ok(match base {
         Base::Nested(_) => return Err(wrong()),
         Base::String(_) => format!("{value:?}"),
-        Base::Primitive(Primitive::Bool) => match value {
+        Base::Primitive(p) if p.rust == "bool" => match value {
             "true" | "True" | "1" => "true".into(),
             "false" | "False" | "0" => "false".into(),
             _ => return Err(wrong()),
         },
-        Base::Primitive(Primitive::Float32 | Primitive::Float64) => {
+        Base::Primitive(p) if p.is_float() => {
             let number: f64 = value.parse().map_err(|_| wrong())?;
             format!("{number:?}")
         }
@@ -138,7 +123,7 @@ fn literal(base: &Base, value: &str, place: &Name) -> Result<String, GenerateErr
     })
 }
 
-fn default_value(field: &Field, place: &Name) -> Result<String, GenerateError> {
+fn default_value(field: &Field, place: &Name) -> Result<String, String> {
     Ok(match (&field.default, field.count, &field.base) {
         (Some(value), _, Base::String(_)) => {
             format!("{}.into()", literal(&field.base, value, place)?)
@@ -154,159 +139,132 @@ fn default_value(field: &Field, place: &Name) -> Result<String, GenerateError> {
 fn emit_message(
     out: &mut String,
     set: &Interfaces,
+    types: &Types,
     message: &Interface,
-) -> Result<(), GenerateError> {
-    let name = rust_name(&message.name);
-    doc(out, &format!("`{}`", message.name));
+) -> Result<(), String> {
+    let ros = &message.name;
+    let name = rust_name(ros);
+    doc(out, &format!("`{ros}`"));
     if !message.comment.is_empty() {
         doc(out, "");
         message.comment.iter().for_each(|l| doc(out, l));
     }
-    line(out, "#[derive(Clone, Debug, PartialEq, ::serde::Serialize, ::serde::Deserialize)]");
-    line(out, format!("pub struct {name} {{"));
+    *out += "#[derive(Clone, Debug, PartialEq, ::serde::Serialize, ::serde::Deserialize)]\n";
+    *out += &format!("pub struct {name} {{\n");
+    let mut defaults = String::new();
     for field in &message.fields {
         let about =
             if field.comment.is_empty() { String::new() } else { format!(": {}", field.comment) };
         doc(out, &format!("`{}`{about}", field.written));
-        if let Some(attribute) = serde_attribute(field) {
-            line(out, attribute);
-        }
-        line(out, format!("pub {}: {},", field_name(&field.name), field_type(field)));
+        let (attribute, name) = (serde_attribute(field), field_name(&field.name));
+        *out += &format!("{attribute} pub {name}: {},\n", field_type(field));
+        defaults += &format!("{name}: {}, ", default_value(field, ros)?);
     }
-    line(out, "}");
+    *out += "}\n";
     emit_constants(out, message, &name)?;
-
+    let definition = describe::definition(set, message)?;
+    let hash = describe::hash(types, ros)?;
     // Not derived: a derive supports neither the defaults of the definition nor arrays beyond 32.
-    line(out, "#[allow(clippy::derivable_impls)]");
-    line(
-        out,
-        format!("impl ::std::default::Default for {name} {{ fn default() -> Self {{ Self {{"),
+    *out += &format!(
+        "#[allow(clippy::derivable_impls)]
+impl ::std::default::Default for {name} {{
+    fn default() -> Self {{ Self {{ {defaults} }} }}
+}}
+impl crate::Message for {name} {{
+    const TYPE_NAME: &'static str = \"{ros}\";
+    const DEFINITION: &'static str = {definition:?};
+    const RIHS01_HASH: &'static str = \"{hash}\";
+}}
+"
     );
-    for field in &message.fields {
-        line(
-            out,
-            format!("{}: {},", field_name(&field.name), default_value(field, &message.name)?),
-        );
-    }
-    line(out, "} } }");
-
-    let ros = &message.name;
-    line(out, format!("impl crate::Message for {name} {{"));
-    line(out, format!("const TYPE_NAME: &'static str = \"{ros}\";"));
-    line(
-        out,
-        format!("const DEFINITION: &'static str = {:?};", describe::definition(set, message)?),
-    );
-    line(
-        out,
-        format!("const RIHS01_HASH: &'static str = {:?};", describe::message_hash(set, message)?),
-    );
-    line(out, "}");
     Ok(())
 }
 
-fn emit_constants(out: &mut String, message: &Interface, name: &str) -> Result<(), GenerateError> {
+fn emit_constants(out: &mut String, message: &Interface, name: &str) -> Result<(), String> {
     if message.constants.is_empty() {
         return Ok(());
     }
-    line(out, format!("impl {name} {{"));
+    *out += &format!("impl {name} {{\n");
     for Constant { base, name, value, comment } in &message.constants {
         let rust = match base {
-            Base::Primitive(p) => p.rust(),
+            Base::Primitive(p) => p.rust,
             _ => "&'static str",
         };
         doc(out, if comment.is_empty() { "A constant of the message." } else { comment });
-        line(out, format!("pub const {name}: {rust} = {};", literal(base, value, &message.name)?));
+        let value = literal(base, value, &message.name)?;
+        *out += &format!("pub const {name}: {rust} = {value};\n");
     }
-    line(out, "}");
+    *out += "}\n";
     Ok(())
 }
 
-fn emit_service(out: &mut String, set: &Interfaces, service: &Name) -> Result<(), GenerateError> {
+fn emit_service(out: &mut String, service: &Name, hash: &str) {
     let name = rust_name(service);
-    doc(out, &format!("`{service}`"));
-    line(out, "#[derive(Clone, Copy, Debug)]");
-    line(out, format!("pub struct {name};"));
-    line(out, format!("impl crate::Service for {name} {{"));
-    line(out, format!("type Request = {name}Request;"));
-    line(out, format!("type Response = {name}Response;"));
-    line(out, format!("const TYPE_NAME: &'static str = \"{service}\";"));
-    line(
-        out,
-        format!("const RIHS01_HASH: &'static str = {:?};", describe::service_hash(set, service)?),
+    *out += &format!(
+        "#[doc = \"`{service}`\"]
+#[derive(Clone, Copy, Debug)]
+pub struct {name};
+impl crate::Service for {name} {{
+    type Request = {name}Request;
+    type Response = {name}Response;
+    const TYPE_NAME: &'static str = \"{service}\";
+    const RIHS01_HASH: &'static str = \"{hash}\";
+}}
+"
     );
-    line(out, "}");
-    Ok(())
 }
 
 fn emit_registry(out: &mut String, set: &Interfaces) {
-    let messages: Vec<&Name> = set.messages.keys().filter(|n| n.kind == "msg").collect();
-    doc(out, "All built-in messages, sorted by name.");
-    line(out, "pub static MESSAGES: &[crate::MessageInfo] = &[");
-    for name in messages {
-        line(out, format!("crate::MessageInfo::of::<{}>(),", rust_path(name)));
-    }
-    line(out, "];");
-    doc(out, "Calls a macro with the paths of all types, requests and responses included.");
-    line(out, "#[macro_export]");
-    line(out, "macro_rules! for_each_type { ($call:ident) => { $call! {");
-    for name in set.messages.keys() {
-        line(out, format!("{},", rust_path(name).replacen("crate::", "$crate::", 1)));
-    }
-    line(out, "} } }");
-    doc(out, "Name and RIHS01 hash of all built-in services, sorted by name.");
-    line(out, "pub static SERVICES: &[(&str, &str)] = &[");
-    for name in &set.services {
-        let path = rust_path(name);
-        line(
-            out,
-            format!(
-                "(<{path} as crate::Service>::TYPE_NAME, <{path} as crate::Service>::RIHS01_HASH),"
-            ),
-        );
-    }
-    line(out, "];");
-    emit_descriptions(out, set);
+    let messages = set.messages.keys().filter(|n| n.kind == "msg");
+    let messages: String =
+        messages.map(|n| format!("crate::MessageInfo::of::<{}>(), ", rust_path(n))).collect();
+    let types = set.messages.keys().map(|n| rust_path(n).replacen("crate::", "$crate::", 1) + ", ");
+    let types: String = types.collect();
+    let constants = |path: String| {
+        let service = format!("<{path} as crate::Service>");
+        format!("({service}::TYPE_NAME, {service}::RIHS01_HASH), ")
+    };
+    let services: String = set.services.iter().map(|n| constants(rust_path(n))).collect();
+    *out += &format!(
+        "#[doc = \"All built-in messages, sorted by name.\"]
+pub static MESSAGES: &[crate::MessageInfo] = &[{messages}];
+#[doc = \"Calls a macro with the paths of all types, requests and responses included.\"]
+#[macro_export]
+macro_rules! for_each_type {{ ($call:ident) => {{ $call! {{ {types} }} }} }}
+#[doc = \"Name and RIHS01 hash of all built-in services, sorted by name.\"]
+pub static SERVICES: &[(&str, &str)] = &[{services}];
+"
+    );
 }
 
 /// The fields and text of every type, sorted by name.
-fn emit_descriptions(out: &mut String, set: &Interfaces) {
-    let mut all = BTreeMap::new();
-    for (name, message) in &set.messages {
-        // The two halves of a service have no file of their own.
-        let source = if name.kind == "msg" { ("msg", message.text.clone()) } else { IMPLICIT };
-        all.insert(name.to_string(), (describe::message_fields(message), source));
-    }
+fn emit_descriptions(out: &mut String, set: &Interfaces, types: &Types) {
+    let messages = set.messages.iter().filter(|(name, _)| name.kind == "msg");
+    let mut sources: BTreeMap<String, (&str, String)> =
+        messages.map(|(name, m)| (name.to_string(), ("msg", m.text.clone()))).collect();
     for service in &set.services {
-        let [request, response, event] = describe::service_parts(service);
+        let [request, response, _] = describe::service_parts(service);
         let half = |name| set.messages.get(name).map_or("", |m| m.text.as_str());
         let text = format!("{}---\n{}", half(&request), half(&response));
-        all.insert(service.to_string(), (describe::service_fields(service), ("srv", text)));
-        all.insert(event.to_string(), (describe::event_fields(service), IMPLICIT));
+        sources.insert(service.to_string(), ("srv", text));
     }
     doc(out, "Fields and text of all built-in types, sorted by name.");
-    line(out, "pub(crate) static TYPES: &[crate::description::Type] = &[");
-    for (name, (fields, (encoding, text))) in all {
-        line(out, format!("crate::description::Type {{ name: {name:?}, fields: &["));
+    *out += "pub(crate) static TYPES: &[crate::description::Type] = &[\n";
+    for (name, fields) in types {
+        // Requests, responses and events have no file; rosidl describes them so.
+        let implicit = ("implicit", String::new());
+        let (encoding, text) = sources.remove(name).unwrap_or(implicit);
+        *out += &format!("crate::description::Type {{ name: {name:?}, fields: &[\n");
         for field in fields {
-            line(
-                out,
-                format!(
-                    "crate::description::Field {{ name: {:?}, type_id: {}, capacity: {}, \
-                     string_capacity: {}, nested: {:?}, default: {:?} }},",
-                    field.name,
-                    field.type_id,
-                    field.capacity,
-                    field.string_capacity,
-                    field.nested,
-                    field.default
-                ),
+            let describe::Field { name, type_id, capacity, string_capacity, nested, default } =
+                field;
+            *out += &format!(
+                "crate::description::Field {{ name: {name:?}, type_id: {type_id}, capacity: \
+                 {capacity}, string_capacity: {string_capacity}, nested: {nested:?}, default: \
+                 {default:?} }},\n"
             );
         }
-        line(out, format!("], encoding: {encoding:?}, text: {text:?} }},"));
+        *out += &format!("], encoding: {encoding:?}, text: {text:?} }},\n");
     }
-    line(out, "];");
+    *out += "];\n";
 }
-
-/// Encoding and text of a type without a file, as rosidl has it.
-const IMPLICIT: (&str, String) = ("implicit", String::new());

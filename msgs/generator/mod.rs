@@ -8,7 +8,7 @@ pub mod emit;
 pub mod parse;
 
 use parse::{Interface, Name};
-use std::{collections::BTreeMap, error::Error, fmt, fs, path::Path};
+use std::{collections::BTreeMap, error::Error, fs, path::Path};
 
 /// This package: its `.msg` files are in `msg/`, its types in `crate::msg`.
 pub const OWN_PACKAGE: &str = "volant_msgs";
@@ -21,23 +21,6 @@ pub struct Interfaces {
     /// Services: `pkg/srv/Name`.
     pub services: Vec<Name>,
 }
-
-/// Error in an interface file.
-#[derive(Debug)]
-pub struct GenerateError {
-    /// File or interface name.
-    pub place: String,
-    /// Description, with the line where one applies.
-    pub message: String,
-}
-
-impl fmt::Display for GenerateError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}: {}", self.place, self.message)
-    }
-}
-
-impl Error for GenerateError {}
 
 /// Reads `root/msg` and `root/interfaces/<package>/{msg,srv}`.
 ///
@@ -76,16 +59,13 @@ fn read_folder(
         let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let text = fs::read_to_string(&path)?;
         set.add(Name::new(package, kind, &stem), &text)
-            .map_err(|e| GenerateError { place: path.display().to_string(), message: e })?;
+            .map_err(|e| format!("{}: {e}", path.display()))?;
     }
     Ok(())
 }
 
 impl Interfaces {
-    /// Parses and adds the text of one file.
-    ///
-    /// # Errors
-    /// Line and reason of a syntax error.
+    /// Parses and adds the text of one file; an error has line and reason.
     pub fn add(&mut self, name: Name, text: &str) -> Result<(), String> {
         if name.kind == "srv" {
             let mut lines = text.split_inclusive('\n');
@@ -108,13 +88,9 @@ impl Interfaces {
     }
 
     /// Returns the message with this name.
-    ///
-    /// # Errors
-    /// There is no file for it.
-    pub fn get(&self, name: &Name) -> Result<&Interface, GenerateError> {
-        self.messages.get(name).ok_or_else(|| GenerateError {
-            place: name.to_string(),
-            message: "is used by another interface, but there is no file for it".into(),
-        })
+    pub fn get(&self, name: &Name) -> Result<&Interface, String> {
+        let unknown =
+            || format!("{name}: is used by another interface, but there is no file for it");
+        self.messages.get(name).ok_or_else(unknown)
     }
 }

@@ -30,70 +30,50 @@ impl fmt::Display for Name {
 #[derive(Clone, Debug, PartialEq)]
 pub enum Base {
     /// A number, `bool`, `byte` or `char`.
-    Primitive(Primitive),
+    Primitive(&'static Primitive),
     /// `string`, with its bound if it has one.
     String(Option<u64>),
     /// Another message.
     Nested(Name),
 }
 
-/// The primitive types.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[allow(missing_docs)]
-pub enum Primitive {
-    Bool,
-    Byte,
-    Char,
-    Int8,
-    Uint8,
-    Int16,
-    Uint16,
-    Int32,
-    Uint32,
-    Int64,
-    Uint64,
-    Float32,
-    Float64,
+/// A primitive type.
+#[derive(Debug, PartialEq)]
+pub struct Primitive {
+    ros: &'static str,
+    /// The Rust type.
+    pub rust: &'static str,
+    /// `type_id` of `type_description_interfaces/msg/FieldType`.
+    pub type_id: u32,
 }
 
 impl Primitive {
-    /// Name in `.msg`, Rust type, `type_id` of `type_description_interfaces/msg/FieldType`.
-    const TABLE: [(&'static str, &'static str, u32, Primitive); 13] = [
-        ("bool", "bool", 15, Primitive::Bool),
-        ("byte", "u8", 16, Primitive::Byte),
-        // ROS 2 defines `char` as uint8.
-        ("char", "u8", 3, Primitive::Char),
-        ("int8", "i8", 2, Primitive::Int8),
-        ("uint8", "u8", 3, Primitive::Uint8),
-        ("int16", "i16", 4, Primitive::Int16),
-        ("uint16", "u16", 5, Primitive::Uint16),
-        ("int32", "i32", 6, Primitive::Int32),
-        ("uint32", "u32", 7, Primitive::Uint32),
-        ("int64", "i64", 8, Primitive::Int64),
-        ("uint64", "u64", 9, Primitive::Uint64),
-        ("float32", "f32", 10, Primitive::Float32),
-        ("float64", "f64", 11, Primitive::Float64),
-    ];
-
-    fn row(self) -> &'static (&'static str, &'static str, u32, Primitive) {
-        // The table is in the order of the variants.
-        &Self::TABLE[self as usize]
-    }
-
-    /// The Rust type.
-    pub fn rust(self) -> &'static str {
-        self.row().1
-    }
-
-    /// `type_id` of ROS 2's type description.
-    pub fn type_id(self) -> u32 {
-        self.row().2
-    }
-
-    fn from_name(name: &str) -> Option<Self> {
-        Self::TABLE.iter().find(|row| row.0 == name).map(|row| row.3)
+    /// Returns whether it is `float32` or `float64`.
+    pub fn is_float(&self) -> bool {
+        matches!(self.rust, "f32" | "f64")
     }
 }
+
+const fn primitive(ros: &'static str, rust: &'static str, type_id: u32) -> Primitive {
+    Primitive { ros, rust, type_id }
+}
+
+static PRIMITIVES: [Primitive; 13] = [
+    primitive("bool", "bool", 15),
+    primitive("byte", "u8", 16),
+    // ROS 2 defines `char` as uint8.
+    primitive("char", "u8", 3),
+    primitive("int8", "i8", 2),
+    primitive("uint8", "u8", 3),
+    primitive("int16", "i16", 4),
+    primitive("uint16", "u16", 5),
+    primitive("int32", "i32", 6),
+    primitive("uint32", "u32", 7),
+    primitive("int64", "i64", 8),
+    primitive("uint64", "u64", 9),
+    primitive("float32", "f32", 10),
+    primitive("float64", "f64", 11),
+];
 
 /// Number of elements of a field.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -154,10 +134,7 @@ pub struct Interface {
 }
 
 impl Interface {
-    /// Parses the text of a message, or of one half of a service.
-    ///
-    /// # Errors
-    /// Line and reason of a syntax error.
+    /// Parses the text of a message, or of one half of a service; an error has line and reason.
     pub fn parse(name: Name, text: &str) -> Result<Self, String> {
         let mut message = Self {
             name,
@@ -171,14 +148,8 @@ impl Interface {
         }
         if message.fields.is_empty() {
             // C has no empty structs; ROS 2 adds this member, on the wire as well.
-            message.fields.push(Field {
-                written: "uint8".into(),
-                base: Base::Primitive(Primitive::Uint8),
-                count: Count::One,
-                name: "structure_needs_at_least_one_member".into(),
-                default: None,
-                comment: "added by ROS 2 to a message without fields".into(),
-            });
+            let member = "uint8 structure_needs_at_least_one_member";
+            message.line(&format!("{member} # added by ROS 2 to a message without fields"))?;
         }
         Ok(message)
     }
@@ -242,7 +213,7 @@ impl Interface {
                 (base, count)
             }
         };
-        let base = if let Some(primitive) = Primitive::from_name(base) {
+        let base = if let Some(primitive) = PRIMITIVES.iter().find(|p| p.ros == base) {
             Base::Primitive(primitive)
         } else if base == "string" {
             Base::String(None)

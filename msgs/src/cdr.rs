@@ -14,34 +14,10 @@ use cdr_encoding::CdrDeserializer;
 use serde::{Deserialize, Deserializer, de::Error as _};
 use thiserror::Error;
 
-/// Error of decoding a message.
+/// Why bytes cannot be decoded: type, place and what is wrong.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
-pub enum CdrError {
-    /// The header is not that of plain CDR.
-    #[error("the bytes begin with {header:02x?}, which is not plain CDR (00 00 or 00 01)")]
-    Encapsulation {
-        /// The header found, at most four bytes.
-        header: Vec<u8>,
-    },
-    /// The bytes are none of that type.
-    #[error("the bytes are no {type_name}: {reason} (behind byte {at} of {length})")]
-    Malformed {
-        /// `package/msg/Type`.
-        type_name: &'static str,
-        /// Missing bytes, a sequence beyond its bound, a bool other than 0 or 1, invalid UTF-8.
-        reason: String,
-        /// Number of bytes that were read.
-        at: usize,
-        /// Number of bytes, header included.
-        length: usize,
-    },
-    /// Bytes remain after the last field: the message has another type.
-    #[error("{count} bytes remain after the last field: the message has another type")]
-    Trailing {
-        /// Number of bytes.
-        count: usize,
-    },
-}
+#[error("{0}")]
+pub struct CdrError(String);
 
 /// Length of the header; alignment counts from its end.
 const HEADER: usize = 4;
@@ -68,19 +44,22 @@ pub fn from_bytes<M: Message>(bytes: &[u8]) -> Result<M, CdrError> {
         [0, 0, _, _, body @ ..] => read::<M, BigEndian>(body),
         [0, 1, _, _, body @ ..] => read::<M, LittleEndian>(body),
         _ => {
-            return Err(CdrError::Encapsulation {
-                header: bytes[..bytes.len().min(HEADER)].to_vec(),
-            });
+            let header = &bytes[..bytes.len().min(HEADER)];
+            return Err(CdrError(format!(
+                "the bytes begin with {header:02x?}, which is not plain CDR (00 00 or 00 01)"
+            )));
         }
     };
-    let message = message.map_err(|error| CdrError::Malformed {
-        type_name: M::TYPE_NAME,
-        reason: error.to_string(),
-        at: HEADER + read,
-        length: bytes.len(),
+    let message = message.map_err(|error| {
+        let (name, at, length) = (M::TYPE_NAME, HEADER + read, bytes.len());
+        CdrError(format!("the bytes are no {name}: {error} (behind byte {at} of {length})"))
     })?;
     let count = bytes.len() - HEADER - read;
-    if count > LARGEST_PADDING { Err(CdrError::Trailing { count }) } else { Ok(message) }
+    if count > LARGEST_PADDING {
+        let text = "bytes remain after the last field: the message has another type";
+        return Err(CdrError(format!("{count} {text}")));
+    }
+    Ok(message)
 }
 
 /// Decodes the fields, and returns how many bytes were read.

@@ -5,10 +5,10 @@
 
 use std::sync::LazyLock;
 use volant_msgs::{
-    Message,
-    cdr::{self, CdrError},
+    Message, cdr,
     rcl_interfaces::msg::ParameterDescriptor,
     sensor_msgs::msg::{Image, Imu},
+    std_msgs::msg::Header,
 };
 
 #[derive(serde::Deserialize)]
@@ -81,22 +81,19 @@ fn an_error_names_type_and_place() {
     let at = good.len() - 12 - 4;
     let mut bad = good.clone();
     bad[at..at + 4].copy_from_slice(&[0xff; 4]);
-    let error = cdr::from_bytes::<Image>(&bad).unwrap_err();
-    assert!(matches!(&error, CdrError::Malformed { .. }), "{error}");
-    let said = error.to_string();
-    assert!(said.contains("sensor_msgs/msg/Image"), "{said}");
+    let said = cdr::from_bytes::<Image>(&bad).unwrap_err().to_string();
+    assert!(said.starts_with("the bytes are no sensor_msgs/msg/Image"), "{said}");
     assert!(said.contains(&format!("byte {} of {}", at + 4, bad.len())), "{said}");
 
     let mut xcdr2 = good.clone();
     xcdr2[1] = 7;
-    assert!(matches!(cdr::from_bytes::<Image>(&xcdr2), Err(CdrError::Encapsulation { .. })));
-    assert!(matches!(cdr::from_bytes::<Image>(&[]), Err(CdrError::Encapsulation { .. })));
-
+    for header in [&xcdr2[..], &[]] {
+        let said = cdr::from_bytes::<Image>(header).unwrap_err().to_string();
+        assert!(said.contains("not plain CDR"), "{said}");
+    }
     let imu = cdr::to_bytes(&Imu::default());
-    assert!(matches!(
-        cdr::from_bytes::<volant_msgs::std_msgs::msg::Header>(&imu),
-        Err(CdrError::Trailing { .. })
-    ));
+    let said = cdr::from_bytes::<Header>(&imu).unwrap_err().to_string();
+    assert!(said.contains("bytes remain after the last field"), "{said}");
 
     let three = ParameterDescriptor {
         integer_range: vec![Default::default(); 3],

@@ -8,8 +8,11 @@ use crate::{
     parameters::{ParameterError, ParameterSet, ParameterStore, common_descriptors},
 };
 use rig_model::rig::edit_distance;
-use ros_parameters::{ParameterFile, ParameterMap, ParameterValue, parse_value};
-use std::{collections::BTreeSet, path::PathBuf};
+use ros_parameters::{ParameterFile, ParameterValue, parse_value};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    path::PathBuf,
+};
 
 mod error;
 
@@ -327,8 +330,8 @@ impl RosArguments {
     }
 
     /// The values given for this node with their origins; later sources override earlier ones.
-    pub fn overrides(&self, node: &NodeName) -> std::collections::BTreeMap<String, Override> {
-        let mut all = std::collections::BTreeMap::new();
+    pub(crate) fn overrides(&self, node: &NodeName) -> BTreeMap<String, Override> {
+        let mut all = BTreeMap::new();
         for source in &self.sources {
             match source {
                 ParameterSource::File { path, file } => {
@@ -355,11 +358,6 @@ impl RosArguments {
             }
         }
         all
-    }
-
-    /// The values given for this node, without their origins.
-    pub fn values(&self, node: &NodeName) -> ParameterMap {
-        self.overrides(node).into_iter().map(|(name, o)| (name, o.value)).collect()
     }
 }
 

@@ -23,47 +23,10 @@ use volant_msgs::{
     tf2_msgs::msg::TFMessage,
 };
 
-/// Why a message is rejected.
-#[derive(Clone, Debug, Error, PartialEq)]
-pub enum ConvertError {
-    /// A quaternion of zero or non-finite length.
-    #[error("{what}: a quaternion of length {length} is no rotation")]
-    Quaternion {
-        /// The field.
-        what: &'static str,
-        /// Its length.
-        length: f64,
-    },
-    /// Frames other than the rig's.
-    #[error(
-        "{what}: the frames are `{found_parent}` and `{found_child}`, expected `{parent}` and \
-         `{child}` (see frames in the rig file)"
-    )]
-    Frames {
-        /// The message.
-        what: &'static str,
-        /// `header.frame_id`.
-        found_parent: String,
-        /// `child_frame_id`.
-        found_child: String,
-        /// Parent in the rig file.
-        parent: String,
-        /// Child in the rig file.
-        child: String,
-    },
-    /// Not one observation per marker, in order.
-    #[error("climber/markers: {found} markers, expected red, green, blue and yellow in this order")]
-    Markers {
-        /// Number of observations.
-        found: usize,
-    },
-    /// An undefined state.
-    #[error("climber/markers: a marker's state is {found}, expected 0, 1 or 2")]
-    MarkerState {
-        /// The number in the message.
-        found: u8,
-    },
-}
+/// Why a message is rejected: the message or its field, and what is wrong with it.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[error("{0}")]
+pub struct ConvertError(String);
 
 /// Stamp of a message.
 pub fn stamp(time: &Time) -> Stamp {
@@ -84,7 +47,7 @@ pub fn header(frame_id: &str, at: Stamp) -> Header {
 /// Rotation of a quaternion message (x, y, z, w), normalized. `what` names the field in errors.
 ///
 /// # Errors
-/// [`ConvertError::Quaternion`] if its length is below 10⁻³ or not finite.
+/// The quaternion's length is below 10⁻³ or not finite.
 pub fn rotation(
     q: &geometry::Quaternion,
     what: &'static str,
@@ -94,7 +57,7 @@ pub fn rotation(
     if length.is_finite() && length > 1e-3 {
         Ok(UnitQuaternion::from_quaternion(quaternion))
     } else {
-        Err(ConvertError::Quaternion { what, length })
+        Err(ConvertError(format!("{what}: a quaternion of length {length} is no rotation")))
     }
 }
 
@@ -229,8 +192,7 @@ pub fn imu_message(
 /// `world_from_climber` of a transform message.
 ///
 /// # Errors
-/// [`ConvertError::Frames`] for frames other than the rig's; [`ConvertError::Quaternion`] for an
-/// invalid rotation.
+/// Frames other than the rig's, or an invalid rotation.
 pub fn climber_sample(
     message: &geometry::TransformStamped,
     frames: &Frames,
@@ -238,18 +200,17 @@ pub fn climber_sample(
     // tf1 put a slash before a frame's name.
     let bare = |name: &str| name.trim_start_matches('/').to_owned();
     let (parent, child) = (bare(&message.header.frame_id), bare(&message.child_frame_id));
-    if parent != frames.world || child != frames.climber {
-        return Err(ConvertError::Frames {
-            what: topics::CLIMBER_TRANSFORM,
-            found_parent: parent,
-            found_child: child,
-            parent: frames.world.clone(),
-            child: frames.climber.clone(),
-        });
+    let Frames { world, climber, .. } = frames;
+    let what = topics::CLIMBER_TRANSFORM;
+    if parent != *world || child != *climber {
+        return Err(ConvertError(format!(
+            "{what}: the frames are `{parent}` and `{child}`, expected `{world}` and `{climber}` \
+             (see frames in the rig file)"
+        )));
     }
     Ok(ClimberSample {
         stamp: stamp(&message.header.stamp),
-        world_from_climber: isometry(&message.transform, topics::CLIMBER_TRANSFORM)?,
+        world_from_climber: isometry(&message.transform, what)?,
     })
 }
 
@@ -261,19 +222,20 @@ pub fn climber_message(sample: &ClimberSample, frames: &Frames) -> geometry::Tra
 /// Observations of the markers of an image, px.
 ///
 /// # Errors
-/// [`ConvertError::Markers`] unless there are four markers in order; [`ConvertError::MarkerState`]
-/// for an undefined state.
+/// Not four markers in order, or an undefined state.
 pub fn marker_observations(
     message: &volant::MarkerObservations,
 ) -> Result<MarkerObservations, ConvertError> {
-    let found = message.markers.len();
     let ordered = message
         .markers
         .iter()
         .zip(MarkerColor::ALL)
         .all(|(m, c)| usize::from(m.color) == c.index());
     let (true, Ok(markers)) = (ordered, <&[_; 4]>::try_from(message.markers.as_slice())) else {
-        return Err(ConvertError::Markers { found });
+        return Err(ConvertError(format!(
+            "climber/markers: {} markers, expected red, green, blue and yellow in this order",
+            message.markers.len()
+        )));
     };
     let mut observations = [MarkerObservation::lost(MarkerObservation::NEVER); 4];
     for (to, from) in observations.iter_mut().zip(markers) {
@@ -282,7 +244,10 @@ pub fn marker_observations(
                 volant::MarkerObservation::DETECTED => MarkerState::Detected,
                 volant::MarkerObservation::PREDICTED => MarkerState::Predicted,
                 volant::MarkerObservation::LOST => MarkerState::Lost,
-                found => return Err(ConvertError::MarkerState { found }),
+                state => {
+                    let text = format!("a marker's state is {state}, expected 0, 1 or 2");
+                    return Err(ConvertError(format!("climber/markers: {text}")));
+                }
             },
             occluded_frames: from.occluded_frames,
             centroid: Vector2::new(from.x, from.y),

@@ -3,17 +3,10 @@
 use std::path::PathBuf;
 use thiserror::Error;
 
-/// An environment variable with an invalid value.
+/// An environment variable with an invalid value: both, and the valid values.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
-#[error("the environment variable {name}={value} is not understood; expected {expected}")]
-pub struct EnvironmentError {
-    /// Its name.
-    pub name: &'static str,
-    /// Its value.
-    pub value: String,
-    /// Valid values.
-    pub expected: &'static str,
-}
+#[error("the environment variable {0}")]
+pub struct EnvironmentError(String);
 
 /// Range of discovery.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -97,7 +90,9 @@ impl Network {
         enclave: Option<&str>,
     ) -> Result<Self, EnvironmentError> {
         let get = |name| get(name).filter(|value| !value.is_empty());
-        let wrong = |name, value: String, expected| EnvironmentError { name, value, expected };
+        let wrong = |name: &str, value: String, expected: &str| {
+            EnvironmentError(format!("{name}={value} is not understood; expected {expected}"))
+        };
         for (name, is_unsupported, expected) in UNSUPPORTED {
             if let Some(value) = get(name).filter(|value| is_unsupported(value)) {
                 return Err(wrong(name, value, expected));
@@ -117,11 +112,8 @@ impl Network {
                     "LOCALHOST" | "OFF" => DiscoveryRange::Localhost,
                     "SUBNET" | "SYSTEM_DEFAULT" => DiscoveryRange::Subnet,
                     _ => {
-                        return Err(wrong(
-                            "ROS_AUTOMATIC_DISCOVERY_RANGE",
-                            value,
-                            "SUBNET, LOCALHOST, OFF or SYSTEM_DEFAULT",
-                        ));
+                        let expected = "SUBNET, LOCALHOST, OFF or SYSTEM_DEFAULT";
+                        return Err(wrong("ROS_AUTOMATIC_DISCOVERY_RANGE", value, expected));
                     }
                 },
             };

@@ -39,18 +39,12 @@ pub fn read_text(path: &Path) -> io::Result<String> {
 #[derive(Debug, Error)]
 pub enum FileError {
     /// A file with this name exists.
-    #[error("{}: exists already; give another name, or --overwrite to replace it", path.display())]
-    Exists {
-        /// The output.
-        path: PathBuf,
-    },
+    #[error("{}: exists already; give another name, or --overwrite to replace it", .0.display())]
+    Exists(PathBuf),
     /// A folder with this name exists; no option replaces it.
     #[error("{}: exists already and is a folder, which is never replaced; give another name",
-            path.display())]
-    Folder {
-        /// The output.
-        path: PathBuf,
-    },
+            .0.display())]
+    Folder(PathBuf),
     /// The output is one of the command's inputs, by whatever name.
     #[error("{}: the output is the input{}, which is never replaced; give it another name",
             path.display(),
@@ -62,11 +56,8 @@ pub enum FileError {
         input: PathBuf,
     },
     /// Two outputs of the command are one file, by whatever name.
-    #[error("{}: two outputs have this name; give each its own", path.display())]
-    Twice {
-        /// The output.
-        path: PathBuf,
-    },
+    #[error("{}: two outputs have this name; give each its own", .0.display())]
+    Twice(PathBuf),
     /// An operation of the operating system failed.
     #[error("{}: cannot be written: {source}; check its folder, the permissions and the space on \
              the disk", path.display())]
@@ -86,7 +77,7 @@ impl FileError {
     /// The error of creating what must not exist.
     fn of(path: &Path, source: io::Error) -> Self {
         match source.kind() {
-            ErrorKind::AlreadyExists => Self::Exists { path: path.to_owned() },
+            ErrorKind::AlreadyExists => Self::Exists(path.to_owned()),
             _ => Self::io(path, source),
         }
     }
@@ -113,8 +104,8 @@ pub fn check_output(path: &Path, overwrite: bool, inputs: &[&Path]) -> Result<()
         }
     }
     match (there.is_dir(), overwrite) {
-        (true, _) => Err(FileError::Folder { path: path.to_owned() }),
-        (false, false) => Err(FileError::Exists { path: path.to_owned() }),
+        (true, _) => Err(FileError::Folder(path.to_owned())),
+        (false, false) => Err(FileError::Exists(path.to_owned())),
         (false, true) => Ok(()),
     }
 }
@@ -144,7 +135,7 @@ pub fn check_outputs(
         let new = folder.join(path.file_name().unwrap_or_default());
         let place = fs::canonicalize(path).unwrap_or(new);
         if places.contains(&place) {
-            return Err(FileError::Twice { path: path.to_owned() });
+            return Err(FileError::Twice(path.to_owned()));
         }
         places.push(place);
     }

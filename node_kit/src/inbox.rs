@@ -94,18 +94,10 @@ impl<I> State<I> {
     }
 }
 
-struct Shared<I> {
+/// Inbox of a node whose inputs are `I`.
+pub(crate) struct Inbox<I> {
     state: Mutex<State<I>>,
     ready: Condvar,
-}
-
-/// Inbox of a node whose inputs are `I`; clones share it.
-pub(crate) struct Inbox<I>(Arc<Shared<I>>);
-
-impl<I> Clone for Inbox<I> {
-    fn clone(&self) -> Self {
-        Self(Arc::clone(&self.0))
-    }
 }
 
 /// Result of [`Inbox::take`].
@@ -119,20 +111,14 @@ pub(crate) enum Taken<I> {
 }
 
 impl<I> Inbox<I> {
-    pub(crate) fn new() -> Self {
-        Self(Arc::new(Shared {
-            state: Mutex::new(State {
-                queue: VecDeque::new(),
-                sources: Vec::new(),
-                closed: false,
-                accepting: true,
-            }),
-            ready: Condvar::new(),
-        }))
+    pub(crate) fn new() -> Arc<Self> {
+        let state =
+            State { queue: VecDeque::new(), sources: vec![], closed: false, accepting: true };
+        Arc::new(Self { state: Mutex::new(state), ready: Condvar::new() })
     }
 
     fn lock(&self) -> MutexGuard<'_, State<I>> {
-        self.0.state.lock()
+        self.state.lock()
     }
 
     /// Puts an entry in without waiting. `now` is the time of arrival.
@@ -158,7 +144,7 @@ impl<I> Inbox<I> {
         state.sources[source].queued += 1;
         state.queue.push_back((source, entry));
         drop(state);
-        self.0.ready.notify_one();
+        self.ready.notify_one();
     }
 
     /// Returns whether the inbox has been closed.
@@ -167,7 +153,7 @@ impl<I> Inbox<I> {
     }
 
     /// Takes the next entry, waiting for it until `deadline`.
-    pub(crate) fn take(&self, deadline: Option<Instant>) -> Taken<I> {
+    pub(crate) fn take(&self, deadline: Instant) -> Taken<I> {
         let mut state = self.lock();
         loop {
             if state.closed {
@@ -177,13 +163,10 @@ impl<I> Inbox<I> {
                 state.sources[source].queued -= 1;
                 return Taken::Entry(entry);
             }
-            match deadline {
-                None => self.0.ready.wait(&mut state),
-                Some(deadline) if now() >= deadline => return Taken::Deadline,
-                Some(deadline) => {
-                    self.0.ready.wait_until(&mut state, deadline);
-                }
+            if now() >= deadline {
+                return Taken::Deadline;
             }
+            self.ready.wait_until(&mut state, deadline);
         }
     }
 }
@@ -280,7 +263,7 @@ impl<I: Send + 'static> Sources for Inbox<I> {
         drop(state);
         // Outside of the lock, because dropping an entry may put in another one.
         drop(queued);
-        self.0.ready.notify_all();
+        self.ready.notify_all();
     }
 }
 
@@ -305,7 +288,7 @@ mod tests {
             inbox.put(samples, Event::Input(("imu", i)), now());
         }
         let mut taken = Vec::new();
-        while let Taken::Entry(Event::Input(entry)) = inbox.take(Some(now())) {
+        while let Taken::Entry(Event::Input(entry)) = inbox.take(now()) {
             taken.push(entry);
         }
         assert_eq!(taken, [("imu", 1), ("image", 2), ("imu", 2), ("image", 3), ("imu", 3)]);
@@ -320,7 +303,7 @@ mod tests {
         let source = inbox.add_source("/x", 1, SourceKind::Expected);
         let reader = std::thread::spawn({
             let inbox = inbox.clone();
-            move || inbox.take(None)
+            move || inbox.take(now() + Duration::from_secs(60))
         });
         inbox.close();
         assert!(matches!(reader.join().unwrap(), Taken::Closed));
@@ -339,17 +322,17 @@ mod tests {
         inbox.put(source, Event::Input(3), now());
         inbox.put(service, Event::Input(4), now());
         for expected in [2, 4] {
-            let taken = inbox.take(Some(now()));
+            let taken = inbox.take(now());
             assert!(matches!(taken, Taken::Entry(Event::Input(i)) if i == expected));
         }
         let deadline = now() + Duration::from_millis(1);
-        assert!(matches!(inbox.take(Some(deadline)), Taken::Deadline));
+        assert!(matches!(inbox.take(deadline), Taken::Deadline));
         let counts = inbox.counts();
         assert_eq!((counts[0].received, counts[0].dropped), (2, 0));
         // The queue of the topic is empty.
         inbox.set_accepting(true);
         inbox.put(source, Event::Input(5), now());
-        assert!(matches!(inbox.take(Some(now())), Taken::Entry(Event::Input(5))));
+        assert!(matches!(inbox.take(now()), Taken::Entry(Event::Input(5))));
         assert_eq!(inbox.counts()[0].dropped, 0);
     }
 }

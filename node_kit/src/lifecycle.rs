@@ -38,19 +38,9 @@ impl LifecycleState {
         Self::Deactivating,
     ];
 
-    /// Name, as `ros2 lifecycle get` prints it.
-    pub const fn label(self) -> &'static str {
-        match self {
-            Self::Unconfigured => "unconfigured",
-            Self::Inactive => "inactive",
-            Self::Active => "active",
-            Self::Finalized => "finalized",
-            Self::Configuring => "configuring",
-            Self::CleaningUp => "cleaningup",
-            Self::ShuttingDown => "shuttingdown",
-            Self::Activating => "activating",
-            Self::Deactivating => "deactivating",
-        }
+    /// Name, as `ros2 lifecycle get` prints it: the variant's in lower case.
+    pub fn label(self) -> String {
+        format!("{self:?}").to_lowercase()
     }
 }
 

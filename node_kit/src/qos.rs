@@ -166,15 +166,10 @@ mod tests {
             .iter()
             .fold(base, |qos, d| d.default.as_ref().map_or(qos, |value| qos.with(&d.name, value)));
         assert_eq!(unchanged, base);
+        let text = |text: &str| ParameterValue::String(text.to_owned());
         let changed = base
-            .with(
-                "qos_overrides./x.publisher.reliability",
-                &ParameterValue::String("best_effort".into()),
-            )
-            .with(
-                "qos_overrides./x.publisher.durability",
-                &ParameterValue::String("transient_local".into()),
-            )
+            .with("qos_overrides./x.publisher.reliability", &text("best_effort"))
+            .with("qos_overrides./x.publisher.durability", &text("transient_local"))
             .with("qos_overrides./x.publisher.depth", &ParameterValue::Integer(20_000));
         assert_eq!(
             changed,

@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{minimal, script};
+use common::{minimal, number, script};
 use std::{
     path::{Path, PathBuf},
     time::{Duration, Instant},
@@ -60,12 +60,9 @@ fn parameters_are_listed_described_dumped_and_set() {
     for times in ["1", "20", "100"] {
         let line = output(42, &python, &["parameters", "/minimal", times]);
         assert!(line.contains(r#""described": true"#), "{line}");
-        let number = |key: &str| -> f64 {
-            let rest = line.split(&format!("\"{key}\": ")).nth(1).unwrap();
-            rest.split([',', '}']).next().unwrap().parse().unwrap()
-        };
-        assert_eq!(number("requested"), number("values"));
-        assert!(number("requested") >= 20.0 * times.parse::<f64>().unwrap());
+        let requested = number(&line, "requested");
+        assert_eq!(requested, number(&line, "values"));
+        assert!(requested >= 20.0 * times.parse::<f64>().unwrap());
         assert!(
             line.contains(r#""beat": 10.0"#) && line.contains("Beats per second. [Hz]"),
             "{line}"
@@ -100,9 +97,7 @@ fn messages_arrive_at_their_rate() {
         &python,
         &["receive", "/minimal/beats", "geometry_msgs/PoseWithCovarianceStamped", "100"],
     );
-    let rate: f64 =
-        line.split(r#""rate": "#).nth(1).unwrap().split(',').next().unwrap().parse().unwrap();
-    assert!((45.0..55.0).contains(&rate), "{line}");
+    assert!((45.0..55.0).contains(&number(&line, "rate")), "{line}");
 }
 
 /// The `ros2` daemon and every long-lived node keep a graph: it must not show what has ended.

@@ -223,7 +223,7 @@ impl<'a> Adjustment<'a> {
     pub fn solve(&mut self) -> Result<(DMatrix<f64>, f64), CalibrationError> {
         let failed = CalibrationError::Diverged;
         let mut damping = 1e-4;
-        let mut whiteners = self.whiteners().ok_or(failed.clone())?;
+        let mut whiteners = self.whiteners().ok_or(failed)?;
         // The first steps are nearly undamped: outliers would lead them astray.
         let [images, _] = self.squares(&whiteners, &self.parameters, &self.states);
         self.leave_out_images(&images);
@@ -233,10 +233,8 @@ impl<'a> Adjustment<'a> {
             return Err(failed);
         }
         for iteration in 0..self.iterations {
-            let solution = self
-                .linearise(&whiteners, true)
-                .and_then(|a| a.solve(damping))
-                .ok_or(failed.clone())?;
+            let solution =
+                self.linearise(&whiteners, true).and_then(|a| a.solve(damping)).ok_or(failed)?;
             let parameters = self.parameters.moved(solution.parameters.as_slice());
             let steps = self.states.iter().zip(&solution.states);
             let states: Vec<State> = steps.map(|(s, step)| s.moved(step.as_slice())).collect();
@@ -250,7 +248,7 @@ impl<'a> Adjustment<'a> {
                 if iteration == 4 || iteration == 8 {
                     self.leave_out_outliers(&whiteners);
                 }
-                whiteners = self.whiteners().ok_or(failed.clone())?;
+                whiteners = self.whiteners().ok_or(failed)?;
                 cost = self.cost(&whiteners, &self.parameters, &self.states, true);
             } else {
                 damping *= 10.0;

@@ -58,67 +58,10 @@ impl fmt::Display for Sensor {
     }
 }
 
-/// Why a record does not yield the noise.
-#[derive(Clone, Debug, Error, PartialEq)]
-pub enum NoiseError {
-    /// The record is too short, or interrupted.
-    #[error(
-        "the longest stretch of IMU samples without a gap lasts {seconds:.1} s; record at least \
-         {SHORTEST} s at rest (an hour for the bias instability)"
-    )]
-    TooShort {
-        /// Length of the stretch, s.
-        seconds: f64,
-    },
-    /// The IMU was moved.
-    #[error(
-        "the IMU is not at rest: at {seconds:.1} s the {sensor}'s mean over a second is {off:.3} \
-         {unit} off the mean of the record (limit {limit}); lay the platform on the floor, fans \
-         off, and record again",
-        unit = sensor.unit()
-    )]
-    Moved {
-        /// The sensor that shows it.
-        sensor: Sensor,
-        /// Time since the first sample, s.
-        seconds: f64,
-        /// Deviation of the mean.
-        off: f64,
-        /// The largest one allowed.
-        limit: f64,
-    },
-    /// The samples vary more slowly than noise does.
-    #[error(
-        "the IMU is not at rest: over {tau:.1} s the {sensor}'s {axis} varies {ratio:.1} times as \
-         much as its white noise (limit {SWELL}), as it does on a rope or a vibrating floor; lay \
-         the platform on the floor, fans off, and record again"
-    )]
-    Swings {
-        /// The sensor that shows it.
-        sensor: Sensor,
-        /// Its axis.
-        axis: char,
-        /// Averaging time, s.
-        tau: f64,
-        /// Allan deviation over that of white noise.
-        ratio: f64,
-    },
-    /// No averaging time at which the noise is white.
-    #[error(
-        "the {sensor}'s {axis} shows no white noise: its Allan deviation has the slope {slope:.2} \
-         at {tau:.2} s instead of -0.5; are the samples quantized or filtered?"
-    )]
-    NotWhite {
-        /// The sensor.
-        sensor: Sensor,
-        /// Its axis.
-        axis: char,
-        /// Averaging time of the best slope, s.
-        tau: f64,
-        /// The slope there.
-        slope: f64,
-    },
-}
+/// Why a record does not yield the noise, with numbers and the remedy.
+#[derive(Clone, Debug, Error)]
+#[error("{0}")]
+pub struct NoiseError(String);
 
 /// Noise of one axis of a sensor.
 #[derive(Clone, Debug)]
@@ -158,12 +101,15 @@ impl ImuNoise {
 /// Evaluates a record of an IMU at rest, samples in the order of their stamps.
 ///
 /// # Errors
-/// [`NoiseError`]
+/// The record is too short or interrupted, the IMU was moved or swings, or its noise is not white.
 pub fn imu_noise(samples: &[ImuSample]) -> Result<ImuNoise, NoiseError> {
     let (stretch, period) = without_gap(samples);
     let seconds = stretch.len() as f64 * period;
     if stretch.len() < 100 || seconds < SHORTEST {
-        return Err(NoiseError::TooShort { seconds });
+        return Err(NoiseError(format!(
+            "the longest stretch of IMU samples without a gap lasts {seconds:.1} s; record at \
+             least {SHORTEST} s at rest (an hour for the bias instability)"
+        )));
     }
     let values = |s: &ImuSample| [s.angular_velocity, s.specific_force];
     for (sensor, limit) in Sensor::ALL.into_iter().zip(STILL) {
@@ -177,7 +123,12 @@ pub fn imu_noise(samples: &[ImuSample]) -> Result<ImuNoise, NoiseError> {
         if let Some((index, off)) = worst.max_by(|a, b| a.1.total_cmp(&b.1))
             && off > limit
         {
-            return Err(NoiseError::Moved { sensor, seconds: index as f64, off, limit });
+            let (seconds, unit) = (index as f64, sensor.unit());
+            return Err(NoiseError(format!(
+                "the IMU is not at rest: at {seconds:.1} s the {sensor}'s mean over a second is \
+                 {off:.3} {unit} off the mean of the record (limit {limit}); lay the platform on \
+                 the floor, fans off, and record again"
+            )));
         }
     }
     let axes = |sensor: Sensor| {
@@ -222,7 +173,10 @@ fn axis_noise(
         let off = |i: usize| (slopes[i] + 0.5).abs();
         let best = (0..curve.len()).min_by(|&a, &b| off(a).total_cmp(&off(b))).unwrap_or(0);
         let (tau, slope) = (curve[best].0, slopes[best]);
-        return Err(NoiseError::NotWhite { sensor, axis, tau, slope });
+        return Err(NoiseError(format!(
+            "the {sensor}'s {axis} shows no white noise: its Allan deviation has the slope \
+             {slope:.2} at {tau:.2} s instead of -0.5; are the samples quantized or filtered?"
+        )));
     };
     let run = (first..curve.len()).take_while(|&i| white(i));
     // Each point is known to about √(τ/2T).
@@ -234,7 +188,11 @@ fn axis_noise(
     for &(tau, deviation) in &curve {
         let ratio = deviation * tau.sqrt() / density;
         if (SWING[0]..=SWING[1]).contains(&tau) && tau > curve[first].0 && ratio > SWELL {
-            return Err(NoiseError::Swings { sensor, axis, tau, ratio });
+            return Err(NoiseError(format!(
+                "the IMU is not at rest: over {tau:.1} s the {sensor}'s {axis} varies {ratio:.1} \
+                 times as much as its white noise (limit {SWELL}), as it does on a rope or a \
+                 vibrating floor; lay the platform on the floor, fans off, and record again"
+            )));
         }
     }
     let lowest = (0..curve.len()).min_by(|&a, &b| curve[a].1.total_cmp(&curve[b].1)).unwrap_or(0);

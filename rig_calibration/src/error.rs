@@ -1,16 +1,11 @@
 use thiserror::Error;
 
 /// Why a recording does not calibrate a rig.
-#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
 pub enum CalibrationError {
-    /// A topic has too few messages.
-    #[error("{count} messages of {topic}; record it too, for ten seconds at least")]
-    TooShort {
-        /// Number of messages.
-        count: usize,
-        /// The topic.
-        topic: &'static str,
-    },
+    /// Too few messages: their number, and the topic.
+    #[error("{0} messages of {1}; record it too, for ten seconds at least")]
+    TooShort(usize, &'static str),
     /// Too few images show all markers: this number.
     #[error(
         "only {0} images show all four markers; record the fully visible platform for ten seconds \

@@ -23,24 +23,23 @@ impl Samples {
     /// Sorts each topic by its stamps; removes messages that are repeated, have no stamp or are not
     /// finite, which the filter rejects, too.
     pub(crate) fn repair(&mut self) {
-        self.imu.retain(|s| {
-            !s.stamp.is_unset() && finite(s.specific_force.iter().chain(&s.angular_velocity))
-        });
-        self.imu.sort_by_key(|s| s.stamp);
-        self.imu.dedup_by_key(|s| s.stamp);
+        fn in_order<T>(list: &mut Vec<T>, stamp: fn(&T) -> Stamp) {
+            list.retain(|s| !stamp(s).is_unset());
+            list.sort_by_key(stamp);
+            list.dedup_by_key(|s| stamp(s));
+        }
+        self.imu.retain(|s| finite(s.specific_force.iter().chain(&s.angular_velocity)));
         self.climber.retain(|s| {
             let pose = &s.world_from_climber;
-            let values = pose.translation.vector.iter().chain(&pose.rotation.coords);
-            !s.stamp.is_unset() && finite(values)
+            finite(pose.translation.vector.iter().chain(&pose.rotation.coords))
         });
-        self.climber.sort_by_key(|s| s.stamp);
-        self.climber.dedup_by_key(|s| s.stamp);
         self.markers.retain(|o| {
             let mut detected = o.markers.0.iter().filter(|m| m.state == MarkerState::Detected);
-            !o.stamp.is_unset() && detected.all(|m| finite(m.centroid.iter().chain(&m.covariance)))
+            detected.all(|m| finite(m.centroid.iter().chain(&m.covariance)))
         });
-        self.markers.sort_by_key(|o| o.stamp);
-        self.markers.dedup_by_key(|o| o.stamp);
+        in_order(&mut self.imu, |s| s.stamp);
+        in_order(&mut self.climber, |s| s.stamp);
+        in_order(&mut self.markers, |o| o.stamp);
     }
 }
 
@@ -106,7 +105,7 @@ impl Recording {
         for (count, topic) in [(imu.len(), topics::IMU), (climber.len(), topics::CLIMBER_TRANSFORM)]
         {
             if count < 100 {
-                return Err(CalibrationError::TooShort { count, topic });
+                return Err(CalibrationError::TooShort(count, topic));
             }
         }
         let start = imu[0].stamp;

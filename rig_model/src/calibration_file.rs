@@ -12,11 +12,8 @@ pub enum CalibrationFileError {
     #[error(transparent)]
     Yaml(#[from] serde_yaml_ng::Error),
     /// The camera matrix does not have nine entries.
-    #[error("camera_matrix.data has {found} numbers; it must have nine")]
-    Matrix {
-        /// Number of entries.
-        found: usize,
-    },
+    #[error("camera_matrix.data has {0} numbers; it must have nine")]
+    Matrix(usize),
     /// A value is invalid.
     #[error(transparent)]
     Model(#[from] CameraModelError),
@@ -45,16 +42,11 @@ impl CameraModel {
     pub fn from_calibration_file(text: &str) -> Result<Self, CalibrationFileError> {
         let file: File = serde_yaml_ng::from_value(yaml::parse(text)?)?;
         let k = &file.camera_matrix.data;
-        let k: [f64; 9] =
-            k.as_slice().try_into().map_err(|_| CalibrationFileError::Matrix { found: k.len() })?;
+        let k: &[f64; 9] =
+            k.as_slice().try_into().map_err(|_| CalibrationFileError::Matrix(k.len()))?;
         let d = &file.distortion_coefficients.data;
-        Ok(Self::from_camera_info(
-            file.image_width,
-            file.image_height,
-            &file.distortion_model,
-            d,
-            &k,
-        )?)
+        let (width, height) = (file.image_width, file.image_height);
+        Ok(Self::from_camera_info(width, height, &file.distortion_model, d, k)?)
     }
 }
 

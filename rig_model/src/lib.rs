@@ -1,17 +1,6 @@
 //! Description of the rig as plain data and pure functions, shared by drivers, tracker, filter and
 //! tools.
 //!
-//! | module | content |
-//! | --- | --- |
-//! | [`stamp`], [`samples`] | time, and the core's side of every topic |
-//! | [`rig`] | the rig file: frames, mounting, IMU noise, markers |
-//! | [`camera`], [`calibration_file`] | camera model, from `CameraInfo` or a calibration file |
-//! | [`marker`] | marker layout, and the centroid of a projected square with its derivatives |
-//! | [`planar_pose`] | pose of the platform from the markers of one image |
-//! | [`score`] | truth, pose errors, RMSE and NEES |
-//! | [`topics`] | names of topics and frames |
-//! | [`angle`] | angles within ±π |
-//!
 //! Units are meters, radians, seconds and pixels; frames are right-handed (REP-103). `a_from_b`
 //! maps the coordinates of a point in `b` to its coordinates in `a` (the paper's `aTb`). The center
 //! of the top left pixel is (0, 0). Nothing here uses middleware, clocks, threads, files or

@@ -164,6 +164,18 @@ mod tests {
     use crate::camera::Distortion;
     use nalgebra::{Rotation3, Translation3, UnitQuaternion, Vector3};
 
+    fn camera() -> CameraModel {
+        let lens = Distortion::PlumbBob([-0.23, 0.08, 7e-4, -4e-4, -0.006]);
+        CameraModel::new(640, 480, [590.0, 590.0, 319.5, 239.5], lens).unwrap()
+    }
+
+    /// A square of 76 mm in the origin, and its pose in the camera frame.
+    fn square(x: f64, y: f64, z: f64, tilt: f64) -> (MarkerLayout, Isometry3<f64>) {
+        let rotation = UnitQuaternion::from_euler_angles(std::f64::consts::PI - tilt, 0.1, 0.4);
+        let layout = MarkerLayout { side: 0.076, centers: PerColor([Point3::origin(); 4]) };
+        (layout, Isometry3::from_parts(Translation3::new(x, y, z), rotation))
+    }
+
     /// Centroid and area from 400×400 cells of the square.
     fn centroid_by_cells(
         camera: &CameraModel,
@@ -191,40 +203,22 @@ mod tests {
 
     #[test]
     fn four_gauss_points_give_the_centroid_for_any_rotation_within_the_plane() {
-        let camera = CameraModel::new(
-            640,
-            480,
-            [590.0, 590.0, 319.5, 239.5],
-            Distortion::PlumbBob([-0.23, 0.08, 7e-4, -4e-4, -0.006]),
-        )
-        .unwrap();
-        let layout = MarkerLayout { side: 0.076, centers: PerColor([Point3::origin(); 4]) };
+        let camera = camera();
         for (tilt, turn) in [(0.0, 0.2), (0.35, 0.0), (0.35, 0.7), (0.8, 0.4), (1.0, 1.2)] {
-            let pose = Isometry3::from_parts(
-                Translation3::new(0.2, -0.15, 1.0),
-                UnitQuaternion::from_euler_angles(std::f64::consts::PI - tilt, 0.1, 0.4),
-            );
-            let (truth, area) = centroid_by_cells(&camera, &pose, 0.076, turn);
+            let (layout, pose) = square(0.2, -0.15, 1.0, tilt);
+            let (truth, area) = centroid_by_cells(&camera, &pose, layout.side, turn);
             let ours = layout.projected_centroid(MarkerColor::Red, &camera, &pose).unwrap();
-            assert!(
-                (ours.pixel - truth).norm() < 2e-3,
-                "{tilt} {turn}: {}",
-                (ours.pixel - truth).norm()
-            );
+            let error = (ours.pixel - truth).norm();
+            assert!(error < 2e-3, "{tilt} {turn}: {error}");
             assert!((ours.area / area - 1.0).abs() < 2e-3);
         }
     }
 
     #[test]
     fn derivatives_equal_numerical_ones() {
-        let lens = Distortion::PlumbBob([-0.23, 0.08, 7e-4, -4e-4, -0.006]);
-        let camera = CameraModel::new(640, 480, [590.0, 590.0, 319.5, 239.5], lens).unwrap();
-        let layout = MarkerLayout { side: 0.076, centers: PerColor([Point3::origin(); 4]) };
+        let camera = camera();
         for tilt in [0.0, 0.2, 0.6] {
-            let pose = Isometry3::from_parts(
-                Translation3::new(0.15, -0.1, 1.1),
-                UnitQuaternion::from_euler_angles(std::f64::consts::PI - tilt, 0.1, 0.4),
-            );
+            let (layout, pose) = square(0.15, -0.1, 1.1, tilt);
             let at = |pose: &Isometry3<f64>| {
                 layout.projected_centroid(MarkerColor::Red, &camera, pose).unwrap()
             };
@@ -233,13 +227,7 @@ mod tests {
             for axis in 0..3 {
                 let mut step = Vector3::zeros();
                 step[axis] = h;
-                let shifted = |s: f64| {
-                    at(&Isometry3::from_parts(
-                        (pose.translation.vector + step * s).into(),
-                        pose.rotation,
-                    ))
-                    .pixel
-                };
+                let shifted = |s: f64| at(&(Translation3::from(step * s) * pose)).pixel;
                 let by_center = (shifted(1.0) - shifted(-1.0)) / (2.0 * h);
                 assert!((by_center - ours.jacobian_by_center.column(axis)).norm() < 2.0, "{axis}");
                 let turned = |s: f64| {

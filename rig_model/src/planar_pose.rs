@@ -231,13 +231,14 @@ mod tests {
     use crate::camera::Distortion;
     use proptest::prelude::*;
 
-    fn rig() -> (MarkerLayout, CameraModel) {
+    pub fn rig() -> (MarkerLayout, CameraModel) {
         let layout = crate::Rig::from_yaml(rig_simulator::RIG_YAML).unwrap().markers;
         let lens = Distortion::PlumbBob([-0.23, 0.082, 7e-4, -4e-4, -0.006]);
         (layout, CameraModel::new(640, 480, [591.0, 589.0, 319.3, 235.2], lens).unwrap())
     }
 
-    fn pose(x: f64, y: f64, z: f64, tilt: f64, direction: f64, yaw: f64) -> Isometry3<f64> {
+    /// Pose in the camera frame of a platform that leans by `tilt` towards `direction`.
+    pub fn pose(x: f64, y: f64, z: f64, tilt: f64, direction: f64, yaw: f64) -> Isometry3<f64> {
         let lean = UnitQuaternion::from_scaled_axis(
             Vector3::new(direction.cos(), direction.sin(), 0.0) * tilt,
         );
@@ -247,12 +248,8 @@ mod tests {
     }
 
     fn measure(layout: &MarkerLayout, camera: &CameraModel, pose: &Isometry3<f64>) -> MarkerPixels {
-        PerColor::from_fn(|c| {
-            Some((
-                layout.projected_centroid(c, camera, pose).unwrap().pixel,
-                Matrix2::identity() * 0.01,
-            ))
-        })
+        let centroid = |c| layout.projected_centroid(c, camera, pose).unwrap().pixel;
+        PerColor::from_fn(|c| Some((centroid(c), Matrix2::identity() * 0.01)))
     }
 
     /// Meters plus radians from the truth to the nearest candidate.

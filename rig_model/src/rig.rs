@@ -16,6 +16,7 @@ use crate::{
 use keys::Reader;
 use nalgebra::{Isometry3, Point3, Vector2};
 use ros_parameters::{ParameterFile, ParameterFileError, ParameterMap};
+use std::fmt;
 use thiserror::Error;
 
 /// Frame ids.
@@ -79,42 +80,10 @@ pub enum RigError {
     /// The text is not a parameter file.
     #[error(transparent)]
     File(#[from] ParameterFileError),
-    /// A required key is missing.
-    #[error("the key `{key}` is missing; it must hold {expected}")]
-    Missing {
-        /// The flat key.
-        key: String,
-        /// Description of a valid value.
-        expected: &'static str,
-    },
-    /// A key is unknown.
-    #[error("the key `{key}` is unknown{hint}; remove it or correct its spelling")]
-    Unknown {
-        /// The flat key.
-        key: String,
-        /// ` (did you mean …?)`, or empty.
-        hint: String,
-    },
-    /// A value has another type.
-    #[error("the key `{key}` is a {found}; it must hold {expected}")]
-    Type {
-        /// The flat key.
-        key: String,
-        /// The type found.
-        found: &'static str,
-        /// Description of a valid value.
-        expected: &'static str,
-    },
-    /// A value is invalid.
-    #[error("the key `{key}` is {value}; valid: {requirement}")]
-    Value {
-        /// The flat key.
-        key: String,
-        /// The value found.
-        value: String,
-        /// Description of valid values.
-        requirement: &'static str,
-    },
+    /// A key is missing or unknown, or its value is invalid: the flat key, what is wrong, and what
+    /// is valid.
+    #[error("the key {0}")]
+    Key(String),
 }
 
 impl Rig {
@@ -128,10 +97,10 @@ impl Rig {
         let known = rig_keys();
         let is_known = |key: &str| is_of_every_node(key) || known.iter().any(|r| r.name == key);
         if let Some(key) = map.keys().find(|key| !is_known(key)) {
-            return Err(RigError::Unknown {
-                key: key.clone(),
-                hint: did_you_mean(key, known.iter().map(|r| r.name)),
-            });
+            let hint = did_you_mean(key, known.iter().map(|r| r.name));
+            return Err(RigError::Key(format!(
+                "`{key}` is unknown{hint}; remove it or correct its spelling"
+            )));
         }
         Self::from_parameters(&map)
     }
@@ -201,7 +170,7 @@ impl Rig {
         if spread < self.markers.side * self.markers.side {
             return Err(RigError::value(
                 "markers",
-                "four centers on one line".into(),
+                "four centers on one line",
                 "the markers span a plane; otherwise the pose is not observable",
             ));
         }
@@ -260,8 +229,8 @@ impl Rig {
 }
 
 impl RigError {
-    fn value(key: &str, value: String, requirement: &'static str) -> Self {
-        Self::Value { key: key.to_owned(), value, requirement }
+    fn value(key: &str, value: impl fmt::Display, requirement: &str) -> Self {
+        Self::Key(format!("`{key}` is {value}; valid: {requirement}"))
     }
 }
 

@@ -10,6 +10,13 @@ const SIDE: f64 = 6.0;
 /// Light gray values, 0 to 255, linear in light.
 pub type Colour = [f32; 3];
 
+/// Covers a share of a pixel with a color.
+pub(super) fn blend(pixel: &mut Colour, colour: Colour, share: f32) {
+    for (value, new) in pixel.iter_mut().zip(colour) {
+        *value += share * (new - *value);
+    }
+}
+
 /// What the floor is made of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Material {
@@ -144,11 +151,7 @@ impl Painter {
             .map(|c| c.iter().map(|p| p.map(|v| (v + SIDE / 2.0) / CELL)).collect())
             .collect();
         let (values, n) = (&mut self.values, self.n);
-        self.coverage.fill(&cells, |x, y, share| {
-            for (value, new) in values[y * n + x].iter_mut().zip(colour) {
-                *value += share * (new - *value);
-            }
-        });
+        self.coverage.fill(&cells, |x, y, share| blend(&mut values[y * n + x], colour, share));
     }
 
     fn strew(&mut self, random: &mut Random, clutter: Option<&[Colour; 4]>) {

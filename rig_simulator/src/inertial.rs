@@ -8,7 +8,7 @@ use crate::{motion::Motion, random::Random};
 use nalgebra::{Isometry3, Matrix2, Matrix3, Translation3, UnitQuaternion, Vector2, Vector3};
 use rig_model::{
     CameraModel, ClimberSample, ImuSample, MarkerColor, MarkerObservation, MarkerObservations,
-    MarkerState, OrientationSample, PerColor, Rig, Stamp,
+    MarkerState, OrientationSample, PerColor, Rig, Sample, Stamp,
 };
 
 /// Errors, rates and delays of the sensors; noise densities come from the rig. One flat struct, so
@@ -102,13 +102,12 @@ pub enum Message {
     Climber(ClimberSample),
 }
 
-impl Message {
-    /// Its stamp.
-    pub fn stamp(&self) -> Stamp {
-        match self {
-            Self::Imu(s) => s.stamp,
-            Self::Markers(s) => s.stamp,
-            Self::Climber(s) => s.stamp,
+impl From<Message> for Sample {
+    fn from(message: Message) -> Self {
+        match message {
+            Message::Imu(s) => Self::Imu(s),
+            Message::Markers(s) => Self::Markers(s),
+            Message::Climber(s) => Self::Climber(s),
         }
     }
 }
@@ -211,6 +210,25 @@ impl<'a> Sensors<'a> {
         samples
     }
 
+    /// Every IMU sample.
+    pub fn imu_samples(&self) -> Vec<ImuSample> {
+        let messages = self.imu().into_iter();
+        messages.filter_map(|(_, m)| if let Message::Imu(s) = m { Some(s) } else { None }).collect()
+    }
+
+    /// What the encoders read at `t` seconds: x, y (m) and turn (rad), with noise and steps.
+    pub fn encoders(&self, t: f64, random: &mut Random) -> [f64; 3] {
+        let (noise, quantum) = (self.config.climber_noise, self.config.climber_quantum);
+        let mut reading = self.motion.climber(t);
+        for (value, kind) in reading.iter_mut().zip([0, 0, 1]) {
+            *value += noise[kind] * random.normal();
+            if quantum[kind] > 0.0 {
+                *value = (*value / quantum[kind]).round() * quantum[kind];
+            }
+        }
+        reading
+    }
+
     /// Every encoder sample with its arrival.
     pub fn climber(&self) -> Recording {
         let c = self.config;
@@ -219,24 +237,12 @@ impl<'a> Sensors<'a> {
         (0..count)
             .map(|i| {
                 let t = (i as f64 + 0.45) / c.climber_rate + 1e-4 * r.normal();
-                let mut reading = self.motion.climber(t);
-                for (k, value) in reading.iter_mut().enumerate() {
-                    let kind = usize::from(k == 2);
-                    *value += c.climber_noise[kind] * r.normal();
-                    if c.climber_quantum[kind] > 0.0 {
-                        *value =
-                            (*value / c.climber_quantum[kind]).round() * c.climber_quantum[kind];
-                    }
-                }
+                let [x, y, turn] = self.encoders(t, &mut r);
                 let sample = ClimberSample {
                     stamp: c.epoch.plus_seconds(t + c.climber_clock_ahead),
                     world_from_climber: Isometry3::from_parts(
-                        Translation3::new(
-                            reading[0],
-                            reading[1],
-                            self.motion.config().climber_height,
-                        ),
-                        UnitQuaternion::from_axis_angle(&Vector3::z_axis(), reading[2]),
+                        Translation3::new(x, y, self.motion.config().climber_height),
+                        UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn),
                     ),
                 };
                 let delay = r.within(c.climber_delay[0], c.climber_delay[1] + 1e-9);

@@ -85,62 +85,50 @@ impl Platform {
         let plate = random.within(138.0, 162.0) as f32;
         let grey = |v: f32| [v, v, v * 1.02];
         let mut pieces = Vec::new();
+        let mut add = |contours: Vec<Vec<[f64; 2]>>, z, colour, grain| {
+            pieces.push(piece(contours, z, colour, grain));
+        };
         for (x, y) in [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)] {
             let center = [x * (half + 0.05), y * (half + 0.05)];
             let ring = frame(circle(center, 0.085, 40), circle(center, 0.076, 40));
-            pieces.push(piece(ring, top - 0.06, grey(52.0), 0.0));
-            pieces.push(piece(
-                vec![rectangle(center, 0.9 * x + 0.3, 0.073, 0.007)],
-                top - 0.06,
-                grey(64.0),
-                0.0,
-            ));
-            pieces.push(piece(vec![circle(center, 0.018, 20)], top - 0.06, grey(40.0), 0.0));
+            add(ring, top - 0.06, grey(52.0), 0.0);
+            add(vec![rectangle(center, 0.9 * x + 0.3, 0.073, 0.007)], top - 0.06, grey(64.0), 0.0);
+            add(vec![circle(center, 0.018, 20)], top - 0.06, grey(40.0), 0.0);
         }
-        pieces.push(piece(vec![rounded([0.0; 2], half, 0.03)], top, grey(plate), 0.05));
+        add(vec![rounded([0.0; 2], half, 0.03)], top, grey(plate), 0.05);
         let border =
             frame(rounded([0.0; 2], half - 0.008, 0.024), rounded([0.0; 2], half - 0.010, 0.023));
-        pieces.push(piece(border, top, grey(plate * 0.78), 0.0));
+        add(border, top, grey(plate * 0.78), 0.0);
         let window = frame(rounded([0.0; 2], 0.088, 0.01), rounded([0.0; 2], 0.086, 0.009));
-        pieces.push(piece(window, top, grey(plate * 0.72), 0.0));
+        add(window, top, grey(plate * 0.72), 0.0);
         for (x, y) in [(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)] {
             let bolt = [x * (half - 0.018), y * (half - 0.018)];
-            pieces.push(piece(vec![circle(bolt, 0.005, 12)], top, grey(70.0), 0.0));
+            add(vec![circle(bolt, 0.005, 12)], top, grey(70.0), 0.0);
         }
         // Battery and label, on opposite sides between two markers each.
-        pieces.push(piece(
-            vec![rectangle([0.0, -0.13], 0.02, 0.045, 0.028)],
-            top,
-            grey(46.0),
-            0.03,
-        ));
-        pieces.push(piece(vec![rectangle([0.0, 0.13], -0.04, 0.05, 0.022)], top, grey(212.0), 0.0));
+        add(vec![rectangle([0.0, -0.13], 0.02, 0.045, 0.028)], top, grey(46.0), 0.03);
+        add(vec![rectangle([0.0, 0.13], -0.04, 0.05, 0.022)], top, grey(212.0), 0.0);
         for (i, (x, w)) in
             [(-0.036, 0.006), (-0.018, 0.008), (0.0, 0.004), (0.015, 0.008), (0.034, 0.006)]
                 .into_iter()
                 .enumerate()
         {
             let bar = rectangle([x, 0.131 + 0.002 * (i % 2) as f64], -0.04, w, 0.011);
-            pieces.push(piece(vec![bar], top, grey(60.0), 0.0));
+            add(vec![bar], top, grey(60.0), 0.0);
         }
         // How each square is turned in its plane, rad: a few degrees that nobody measured.
         let turns = PerColor::from_fn(|_| random.within(-0.12, 0.12));
         for (color, center) in layout.centers.iter() {
             let h = layout.side / 2.0;
             let square = rectangle([center.x, center.y], turns[color], h, h);
-            pieces.push(piece(vec![square], center.z, colours[color.index()], 0.012));
+            add(vec![square], center.z, colours[color.index()], 0.012);
         }
         let hook = Point3::new(0.0, 0.0, top + 0.09);
         for turn in [0.4, 0.4 + std::f64::consts::FRAC_PI_2] {
-            pieces.push(piece(
-                vec![rectangle([0.0; 2], turn, 0.055, 0.006)],
-                top + 0.03,
-                grey(84.0),
-                0.0,
-            ));
+            add(vec![rectangle([0.0; 2], turn, 0.055, 0.006)], top + 0.03, grey(84.0), 0.0);
         }
-        pieces.push(piece(vec![circle([0.0; 2], 0.026, 32)], top + 0.05, grey(96.0), 0.0));
-        pieces.push(piece(vec![circle([0.0; 2], 0.012, 24)], hook.z, grey(120.0), 0.0));
+        add(vec![circle([0.0; 2], 0.026, 32)], top + 0.05, grey(96.0), 0.0);
+        add(vec![circle([0.0; 2], 0.012, 24)], hook.z, grey(120.0), 0.0);
         Self { pieces, hook }
     }
 }

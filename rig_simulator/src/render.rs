@@ -9,7 +9,7 @@
 use crate::shadow::Shadow;
 use crate::{
     coverage::Coverage,
-    floor::{Colour, Floor, Material, Noise, circle, rectangle},
+    floor::{Colour, Floor, Material, Noise, blend, circle, rectangle},
     platform::{Piece, Platform},
     random::Random,
 };
@@ -200,11 +200,12 @@ impl Renderer {
         let r = world_from_camera.rotation.to_rotation_matrix().matrix().cast::<f32>();
         let eye = world_from_camera.translation.vector.cast::<f32>();
         let platform = at.world_from_volant.translation.vector.cast::<f32>();
-        for (pixel, ray) in canvas.iter_mut().zip(&self.rays) {
+        let (focal, shadows) = (self.camera.focal_lengths().x as f32, &self.scene.shadows);
+        for (value, ray) in canvas.iter_mut().zip(&self.rays) {
             let direction = |i: usize| r[(i, 0)] * ray[0] + r[(i, 1)] * ray[1] + r[(i, 2)];
             let down = direction(2);
             if down.is_nan() || down > -1e-3 {
-                *pixel = [0.0; 3];
+                *value = [0.0; 3];
                 continue;
             }
             let s = -eye.z / down;
@@ -213,9 +214,10 @@ impl Renderer {
             let d2 = ((x - platform.x).powi(2) + (y - platform.y).powi(2)) / 0.16;
             let light = self.light_at(x, y) * (1.0 - 0.38 / (1.0 + d2 * d2));
             let place = Vector2::new(x, y);
-            let shade = self.shade(place, platform.xy(), seconds, s.abs());
-            let value = self.floor.at(x, y);
-            *pixel = std::array::from_fn(|i| value[i] * light * shade[i]);
+            let pixel = s.abs() / focal;
+            let shade = Shadow::light_of_all(shadows, place, platform.xy(), seconds, pixel);
+            let floor = self.floor.at(x, y);
+            *value = std::array::from_fn(|i| floor[i] * light * shade[i]);
         }
         if self.scene.clutter {
             self.draw_toy(canvas, &world_from_camera, seconds);
@@ -233,21 +235,18 @@ impl Renderer {
         let center = [0.75 * angle.cos(), 0.75 * angle.sin()];
         let light = self.light_at(center[0] as f32, center[1] as f32);
         let camera_from_world = world_from_camera.inverse();
+        let width = self.camera.size().0 as usize;
         for (flat, colour) in [
             (rectangle(center, angle, 0.05, 0.075), self.marker_colours[0]),
             (circle(center, 0.03, 24), self.marker_colours[2]),
         ] {
-            let corners: Option<Vec<[f64; 2]>> = flat
-                .iter()
-                .map(|p| self.camera.project(&(camera_from_world * Point3::new(p[0], p[1], 0.0))))
-                .map(|p| p.map(|p| [p.x, p.y]))
-                .collect();
-            let Some(corners) = corners else { continue };
-            let width = self.camera.size().0 as usize;
-            self.coverage.fill(&[corners], |x, y, share| {
-                for (value, new) in canvas[y * width + x].iter_mut().zip(colour) {
-                    *value += share * (new * light - *value);
-                }
+            let contour = flat.iter().map(|p| Point3::new(p[0], p[1], 0.0)).collect();
+            let piece = Piece { contours: vec![contour], colour, grain: 0.0 };
+            let Some(drawn) = self.project_piece(&piece, &camera_from_world, light) else {
+                continue;
+            };
+            self.coverage.fill(&drawn.contours, |x, y, share| {
+                blend(&mut canvas[y * width + x], drawn.colour, share);
             });
         }
     }

@@ -59,45 +59,10 @@ impl ParameterKind {
 /// Why a parameter's value is rejected.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum ParameterError {
-    /// An undeclared parameter.
-    #[error("the parameter `{name}` is not known{hint}; remove it or correct its spelling")]
-    Unknown {
-        /// The flat name.
-        name: String,
-        /// ` (did you mean …?)` or nothing.
-        hint: String,
-    },
-    /// A value of another type.
-    #[error("the parameter `{name}` is a {expected}, but {value} is a {found}")]
-    Type {
-        /// The flat name.
-        name: String,
-        /// The declared type.
-        expected: &'static str,
-        /// The value as given.
-        value: String,
-        /// Its type.
-        found: &'static str,
-    },
-    /// A value that the declaration forbids.
-    #[error("the parameter `{name}` is {value}, but {requirement}")]
-    Value {
-        /// The flat name.
-        name: String,
-        /// The value as given.
-        value: String,
-        /// The violated constraint.
-        requirement: String,
-    },
-    /// A change of a read-only parameter.
-    #[error(
-        "the parameter `{name}` cannot change while the node runs; set it at the start \
-         (-p {name}:=… or --params-file)"
-    )]
-    ReadOnly {
-        /// The flat name.
-        name: String,
-    },
+    /// An unknown name, a value that the declaration forbids, or inconsistent values: the flat
+    /// name, what is wrong, and the remedy.
+    #[error("{0}")]
+    Invalid(String),
     /// A required parameter that was not given.
     #[error(
         "the parameter `{name}` must be given. {description} Set it in a file (--params-file) or \
@@ -109,17 +74,11 @@ pub enum ParameterError {
         /// Its description.
         description: String,
     },
-    /// Inconsistent values.
-    #[error("{requirement}")]
-    Rule {
-        /// The violated rule, with the names of the parameters.
-        requirement: String,
-    },
     /// A value that was given at the start.
-    #[error("{error} ({origin})")]
+    #[error("{message} ({origin})")]
     Given {
         /// What is wrong with it.
-        error: Box<Self>,
+        message: String,
         /// The file, or `-p`.
         origin: String,
     },
@@ -225,27 +184,17 @@ impl Descriptor {
     /// [`ParameterError`] for another type, a NaN, a value out of range or not among the choices.
     pub fn accept(&self, value: &ParameterValue) -> Result<ParameterValue, ParameterError> {
         let value = self.convert(value)?;
-        let wrong = |requirement: String| {
-            Err(ParameterError::Value {
-                name: self.name.clone(),
-                value: value.to_string(),
-                requirement,
-            })
-        };
-        let numbers: Vec<f64> = match &value {
-            ParameterValue::Double(_) | ParameterValue::Integer(_) => {
-                value.as_f64().into_iter().collect()
-            }
-            _ => value.as_f64_array().unwrap_or_default(),
-        };
+        let wrong = |requirement: &str| Err(self.forbids(&value, requirement));
+        let number = value.as_f64().map(|x| vec![x]);
+        let numbers = number.or_else(|| value.as_f64_array()).unwrap_or_default();
         if numbers.iter().any(|x| x.is_nan()) {
-            return wrong("it must be a number".to_owned());
+            return wrong("it must be a number");
         }
         if let Some((low, high)) = self.range
             && numbers.iter().any(|x| !(low..=high).contains(x))
         {
             let unit = if self.unit.is_empty() { String::new() } else { format!(" {}", self.unit) };
-            return wrong(format!("it must lie between {low} and {high}{unit}"));
+            return wrong(&format!("it must lie between {low} and {high}{unit}"));
         }
         if !self.choices.is_empty() {
             let texts: &[String] = match &value {
@@ -254,7 +203,7 @@ impl Descriptor {
                 _ => &[],
             };
             if texts.iter().any(|t| !self.choices.contains(&t.as_str())) {
-                return wrong(format!("it must be one of {}", self.choices.join(", ")));
+                return wrong(&format!("it must be one of {}", self.choices.join(", ")));
             }
         }
         Ok(value)
@@ -281,12 +230,17 @@ impl Descriptor {
             }
             _ => None,
         };
-        converted.ok_or_else(|| ParameterError::Type {
-            name: self.name.clone(),
-            expected: self.kind.name(),
-            value: value.to_string(),
-            found: found.name(),
+        converted.ok_or_else(|| {
+            let (name, expected, found) = (&self.name, self.kind.name(), found.name());
+            let text = format!("the parameter `{name}` is a {expected}, but {value} is a {found}");
+            ParameterError::Invalid(text)
         })
+    }
+
+    /// The error of a value that violates a requirement.
+    pub(crate) fn forbids(&self, value: &ParameterValue, requirement: &str) -> ParameterError {
+        let name = &self.name;
+        ParameterError::Invalid(format!("the parameter `{name}` is {value}, but {requirement}"))
     }
 }
 

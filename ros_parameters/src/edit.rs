@@ -4,33 +4,10 @@
 //! is added below the deepest block of its name that exists. Each edit is checked: the new text
 //! must parse to the old parameters with that one changed.
 
-use crate::file::{ParameterFile, ParameterFileError, ParameterMap, ParameterValue};
-use saphyr_parser::{Event, Parser, ScanError, Span};
+use crate::file::{ParameterFile, ParameterFileError, ParameterMap, ParameterValue, parse_yaml};
+use saphyr_parser::{Event, Parser, Span};
 use serde_yaml_ng::{Mapping, Value};
 use std::ops::Range;
-use thiserror::Error;
-
-/// Why a text was not edited.
-#[derive(Debug, Error)]
-pub enum EditError {
-    /// The text is not a parameter file.
-    #[error(transparent)]
-    File(#[from] ParameterFileError),
-    /// The text is not YAML.
-    #[error("not a YAML file: {0}")]
-    Yaml(#[from] ScanError),
-    /// The place of the key cannot be edited without touching others.
-    #[error(
-        "`{key}` is written in a form that cannot be edited in place (an alias, an anchor or a \
-         scalar in place of a block); enter `{key}: {value}` by hand"
-    )]
-    Form {
-        /// The flat key.
-        key: String,
-        /// The value to enter.
-        value: String,
-    },
-}
 
 /// Sets the parameter `name` (`camera.position`) of a node (`/climber_driver`) to `value`.
 ///
@@ -40,20 +17,20 @@ pub enum EditError {
 /// valid start.
 ///
 /// # Errors
-/// [`EditError`]; the form of the text does not allow an edit that changes nothing else.
+/// The text is not a parameter file, or its form does not allow an edit that changes nothing else.
 pub fn set(
     text: &str,
     node: &str,
     name: &str,
     value: &ParameterValue,
-) -> Result<String, EditError> {
+) -> Result<String, ParameterFileError> {
     let root = parse(text)?;
     let before = match &root {
         Some(root) if !root.is_null() => ParameterFile::parse(text)?,
         _ => ParameterFile::default(),
     };
     let written = value.to_yaml();
-    let form = || EditError::Form { key: name.to_owned(), value: written.clone() };
+    let form = || not_editable(name, &written);
     let selector = before.selector_of(node, name).unwrap_or_else(|| node.to_owned());
     let edit = Edit { text, newline: if text.contains("\r\n") { "\r\n" } else { "\n" } };
     let path = format!("{selector}\nros__parameters\n{name}");
@@ -80,21 +57,31 @@ pub fn set(
 ///
 /// # Errors
 /// As [`set`].
-pub fn set_entry(text: &str, keys: &[&str], value: &ParameterValue) -> Result<String, EditError> {
+pub fn set_entry(
+    text: &str,
+    keys: &[&str],
+    value: &ParameterValue,
+) -> Result<String, ParameterFileError> {
     let written = value.to_yaml();
-    let form = || EditError::Form { key: keys.join("."), value: written.clone() };
+    let form = || not_editable(&keys.join("."), &written);
     let edit = Edit { text, newline: if text.contains("\r\n") { "\r\n" } else { "\n" } };
     let root = parse(text)?.ok_or_else(form)?;
     let edited = edit.set(&root, &keys.join("\n"), &written).ok_or_else(form)?;
-    let tree = |text: &str| crate::yaml::parse(text).map_err(ParameterFileError::from);
-    let mut expected = tree(text)?;
+    let mut expected = parse_yaml(text)?;
     let mut entry = &mut expected;
     for key in keys {
         let Some(mapping) = entry.as_mapping_mut() else { return Err(form()) };
         entry = mapping.entry((*key).into()).or_insert(Value::Mapping(Mapping::new()));
     }
-    *entry = tree(&written)?;
-    if tree(&edited).is_ok_and(|t| t == expected) { Ok(edited) } else { Err(form()) }
+    *entry = parse_yaml(&written)?;
+    if parse_yaml(&edited).is_ok_and(|t| t == expected) { Ok(edited) } else { Err(form()) }
+}
+
+fn not_editable(key: &str, value: &str) -> ParameterFileError {
+    ParameterFileError(format!(
+        "`{key}` is written in a form that cannot be edited in place (an alias, an anchor or a \
+         scalar in place of a block); enter `{key}: {value}` by hand"
+    ))
 }
 
 impl ParameterFile {
@@ -193,7 +180,7 @@ fn is_flow(text: &str, node: &Node) -> bool {
 }
 
 /// Tree of the first document; `None` for an empty text.
-fn parse(text: &str) -> Result<Option<Node>, ScanError> {
+fn parse(text: &str) -> Result<Option<Node>, ParameterFileError> {
     // The parser counts characters.
     let bytes: Vec<usize> = text.char_indices().map(|(i, _)| i).chain([text.len()]).collect();
     let place = |span: Span| {
@@ -203,7 +190,8 @@ fn parse(text: &str) -> Result<Option<Node>, ScanError> {
     let mut open: Vec<Node> = vec![];
     let mut root = None;
     for event in Parser::new_from_str(text) {
-        let (event, span) = event?;
+        let (event, span) =
+            event.map_err(|e| ParameterFileError(format!("not a YAML file: {e}")))?;
         let place = place(span);
         let node = |content| Node { place: place.clone(), content };
         let done = match event {

@@ -68,45 +68,11 @@ impl fmt::Display for ParameterValue {
 /// Parameters of one node, by flat name.
 pub type ParameterMap = BTreeMap<String, ParameterValue>;
 
-/// Why a text is not a parameter file.
+/// Why a text is not a parameter file, or cannot be edited: the block or the parameter, what is
+/// wrong with it, and the remedy.
 #[derive(Debug, Error)]
-pub enum ParameterFileError {
-    /// The text is not YAML.
-    #[error("not a YAML file: {0}")]
-    Yaml(#[from] serde_yaml_ng::Error),
-    /// The outermost level must map node names to their blocks.
-    #[error(
-        "the file is not a ROS 2 parameter file: expected `/**:` (or a node's name), below it \
-         `ros__parameters:`"
-    )]
-    NotAParameterFile,
-    /// A node's block lacks `ros__parameters`.
-    #[error("the block `{selector}` has no `ros__parameters:` below it")]
-    NoRosParameters {
-        /// The node selector.
-        selector: String,
-    },
-    /// A wildcard within a name, which rcl rejects too.
-    #[error(
-        "the block `{selector}`: a wildcard is a whole part of a name, `*` for one part or `**` for \
-         any number of them"
-    )]
-    Wildcard {
-        /// The node selector.
-        selector: String,
-    },
-    /// A value that no ROS parameter can hold.
-    #[error(
-        "the parameter `{name}` is {what}; a parameter is a boolean, a number, a text or a list \
-         of one of these"
-    )]
-    Value {
-        /// The flat name.
-        name: String,
-        /// What the value is.
-        what: &'static str,
-    },
-}
+#[error("{0}")]
+pub struct ParameterFileError(pub(crate) String);
 
 /// A parsed parameter file.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -120,11 +86,15 @@ impl ParameterFile {
     /// # Errors
     /// Text that is not YAML, a missing `ros__parameters`, or a value that no parameter can hold.
     pub fn parse(text: &str) -> Result<Self, ParameterFileError> {
-        let root = yaml::parse(text)?;
-        let Value::Mapping(root) = root else { return Err(ParameterFileError::NotAParameterFile) };
+        let foreign = || {
+            let text = "the file is not a ROS 2 parameter file: expected `/**:` (or a node's \
+                        name), below it `ros__parameters:`";
+            ParameterFileError(text.to_owned())
+        };
+        let Value::Mapping(root) = parse_yaml(text)? else { return Err(foreign()) };
         let mut blocks = Vec::new();
         for (key, value) in &root {
-            let Value::String(key) = key else { return Err(ParameterFileError::NotAParameterFile) };
+            let Value::String(key) = key else { return Err(foreign()) };
             collect_blocks(key, value, &mut blocks)?;
         }
         Ok(Self { blocks })
@@ -173,7 +143,9 @@ fn collect_blocks(
     value: &Value,
     blocks: &mut Vec<(String, ParameterMap)>,
 ) -> Result<(), ParameterFileError> {
-    let no_parameters = || ParameterFileError::NoRosParameters { selector: selector.to_owned() };
+    let block = format!("the block `{selector}`");
+    let no_parameters =
+        || ParameterFileError(format!("{block} has no `ros__parameters:` below it"));
     let Value::Mapping(mapping) = value else { return Err(no_parameters()) };
     let mut any = false;
     for (key, value) in mapping {
@@ -181,7 +153,10 @@ fn collect_blocks(
         any = true;
         if key == "ros__parameters" {
             if selector.split('/').any(|part| part.contains('*') && part != "*" && part != "**") {
-                return Err(ParameterFileError::Wildcard { selector: selector.to_owned() });
+                return Err(ParameterFileError(format!(
+                    "{block}: a wildcard is a whole part of a name, `*` for one part or `**` for \
+                     any number of them"
+                )));
             }
             let mut map = ParameterMap::new();
             if !value.is_null() {
@@ -206,12 +181,7 @@ fn flatten(prefix: &str, value: &Value, map: &mut ParameterMap) -> Result<(), Pa
             Value::String(s) => s.clone(),
             Value::Number(n) => n.to_string(),
             Value::Bool(b) => b.to_string(),
-            _ => {
-                return Err(ParameterFileError::Value {
-                    name: prefix.to_owned(),
-                    what: "a map with a key that is not a string",
-                });
-            }
+            _ => return Err(not_a_value(prefix, "a map with a key that is not a string")),
         };
         let name = if prefix.is_empty() { key } else { format!("{prefix}.{key}") };
         flatten(&name, value, map)?;
@@ -224,14 +194,26 @@ fn flatten(prefix: &str, value: &Value, map: &mut ParameterMap) -> Result<(), Pa
 /// # Errors
 /// Text that is not YAML, or YAML that no parameter can hold.
 pub fn parse_value(name: &str, text: &str) -> Result<ParameterValue, ParameterFileError> {
-    match yaml::parse(text)? {
+    match parse_yaml(text)? {
         Value::Null => Ok(ParameterValue::String(text.to_owned())),
         value => scalar_or_array(name, &value),
     }
 }
 
+/// Parses any YAML.
+pub(crate) fn parse_yaml(text: &str) -> Result<Value, ParameterFileError> {
+    yaml::parse(text).map_err(|e| ParameterFileError(format!("not a YAML file: {e}")))
+}
+
+fn not_a_value(name: &str, what: &str) -> ParameterFileError {
+    ParameterFileError(format!(
+        "the parameter `{name}` is {what}; a parameter is a boolean, a number, a text or a list \
+         of one of these"
+    ))
+}
+
 fn scalar_or_array(name: &str, value: &Value) -> Result<ParameterValue, ParameterFileError> {
-    let wrong = |what| Err(ParameterFileError::Value { name: name.to_owned(), what });
+    let wrong = |what| Err(not_a_value(name, what));
     Ok(match value {
         Value::Bool(b) => ParameterValue::Bool(*b),
         Value::Number(n) => match n.as_i64() {
@@ -247,7 +229,7 @@ fn scalar_or_array(name: &str, value: &Value) -> Result<ParameterValue, Paramete
                 .iter()
                 .map(|item| scalar_or_array(name, item))
                 .collect::<Result<Vec<_>, _>>()?;
-            match array(items) {
+            match array(&items) {
                 Some(array) => array,
                 None => return wrong("a list of different kinds"),
             }
@@ -258,30 +240,22 @@ fn scalar_or_array(name: &str, value: &Value) -> Result<ParameterValue, Paramete
     })
 }
 
-fn array(items: Vec<ParameterValue>) -> Option<ParameterValue> {
+fn array(items: &[ParameterValue]) -> Option<ParameterValue> {
     use ParameterValue as P;
-    let all_integers = items.iter().all(|i| matches!(i, P::Integer(_)));
+    fn all<T>(items: &[P], of: impl Fn(&P) -> Option<T>) -> Option<Vec<T>> {
+        items.iter().map(of).collect()
+    }
+    let boolean = |item: &P| if let P::Bool(b) = item { Some(*b) } else { None };
+    let text = |item: &P| if let P::String(s) = item { Some(s.clone()) } else { None };
+    let integer = |item: &P| if let P::Integer(i) = item { Some(*i) } else { None };
     match items.first() {
         None => Some(P::DoubleArray(Vec::new())),
-        Some(P::Bool(_)) => items
-            .iter()
-            .map(|i| if let P::Bool(b) = i { Some(*b) } else { None })
-            .collect::<Option<_>>()
-            .map(P::BoolArray),
-        Some(P::String(_)) => items
-            .into_iter()
-            .map(|i| if let P::String(s) = i { Some(s) } else { None })
-            .collect::<Option<_>>()
-            .map(P::StringArray),
-        Some(P::Integer(_)) if all_integers => items
-            .iter()
-            .map(|i| if let P::Integer(i) = i { Some(*i) } else { None })
-            .collect::<Option<_>>()
-            .map(P::IntegerArray),
+        Some(P::Bool(_)) => all(items, boolean).map(P::BoolArray),
+        Some(P::String(_)) => all(items, text).map(P::StringArray),
         // [0, 0.5] is accepted as a list of doubles: rcl rejects it, but people write it.
-        Some(P::Integer(_) | P::Double(_)) => {
-            items.iter().map(ParameterValue::as_f64).collect::<Option<_>>().map(P::DoubleArray)
-        }
+        Some(P::Integer(_) | P::Double(_)) => all(items, integer)
+            .map(P::IntegerArray)
+            .or_else(|| all(items, P::as_f64).map(P::DoubleArray)),
         Some(_) => None,
     }
 }

@@ -7,10 +7,10 @@ use crate::{Descriptor, ParameterError, ParameterMap, ParameterType, ParameterVa
 /// Each row is a doc comment (the description), `field: type = default`, and any of `unit("m")`,
 /// `range(0.0..=1.0)`, `one_of(&["a", "b"])`, `name("sub.leaf")` (else the field's name), `live`
 /// (else read-only), `required` (else the default holds where the parameter is not given). Types:
-/// `bool`, `f64`, whole numbers, `String`, `[f64; 3]`, `Vec` of `bool`, `i64`, `f64`, `String`, and
-/// enums declared with [`choices!`](crate::choices!). `groups` are fields that are such structs
-/// themselves, `plain` fields that are no parameters; a `check` validates the whole struct. The
-/// documentation of a field shows its attributes.
+/// `bool`, `f64`, whole numbers, `String`, `[f64; 3]`, and enums declared with
+/// [`choices!`](crate::choices!). `groups` are fields that are such structs themselves, `plain`
+/// fields that are no parameters; a `check` validates the whole struct. The documentation of a field
+/// shows its attributes.
 ///
 /// ```
 /// ros_parameters::choices! {
@@ -127,9 +127,7 @@ macro_rules! parameters {
                 $(
                     let $this = &set;
                     let checked: Result<(), String> = $check;
-                    checked.map_err(|requirement| {
-                        $crate::ParameterError::Rule { requirement }
-                    })?;
+                    checked.map_err($crate::ParameterError::Invalid)?;
                 )?
                 Ok(set)
             }
@@ -156,10 +154,6 @@ macro_rules! choices {
             type Literal = Self;
             const KIND: $crate::ParameterKind = $crate::ParameterKind::String;
             const CHOICES: &'static [&'static str] = &[$($text),+];
-
-            fn from_literal(literal: Self) -> Self {
-                literal
-            }
 
             fn from_value(value: &$crate::ParameterValue) -> Option<Self> {
                 let $crate::ParameterValue::String(text) = value else { return None };
@@ -204,10 +198,6 @@ impl Descriptor {
     #[doc(hidden)]
     pub fn read<T: ParameterType>(&self, value: &ParameterValue) -> Result<T, ParameterError> {
         let accepted = self.accept(value)?;
-        T::from_value(&accepted).ok_or_else(|| ParameterError::Value {
-            name: self.name.clone(),
-            value: value.to_string(),
-            requirement: T::REQUIREMENT.to_owned(),
-        })
+        T::from_value(&accepted).ok_or_else(|| self.forbids(value, T::REQUIREMENT))
     }
 }

@@ -27,8 +27,8 @@ impl ParameterSet for () {
 
 /// Type of a field of a [`ParameterSet`].
 pub trait ParameterType: Sized {
-    /// Type of the default in the declaration: `1.5`, `"text"`, `&[1.0, 2.0]`.
-    type Literal;
+    /// Type of the default in the declaration: `1.5`, `"text"`.
+    type Literal: Into<Self>;
     /// The ROS type.
     const KIND: ParameterKind;
     /// Allowed texts; empty for any.
@@ -37,7 +37,9 @@ pub trait ParameterType: Sized {
     const REQUIREMENT: &'static str = "it is too large, or negative";
 
     /// Converts the default of the declaration.
-    fn from_literal(literal: Self::Literal) -> Self;
+    fn from_literal(literal: Self::Literal) -> Self {
+        literal.into()
+    }
     /// Converts a value that the descriptor has accepted; `None` if it is none of this type.
     fn from_value(value: &ParameterValue) -> Option<Self>;
     /// Converts to a value.
@@ -45,14 +47,10 @@ pub trait ParameterType: Sized {
 }
 
 macro_rules! plain {
-    ($type:ty, $literal:ty, $kind:ident, $from:expr) => {
+    ($type:ty, $literal:ty, $kind:ident) => {
         impl ParameterType for $type {
             type Literal = $literal;
             const KIND: ParameterKind = ParameterKind::$kind;
-
-            fn from_literal(literal: $literal) -> Self {
-                ($from)(literal)
-            }
 
             fn from_value(value: &ParameterValue) -> Option<Self> {
                 if let ParameterValue::$kind(x) = value { Some(x.clone()) } else { None }
@@ -65,26 +63,15 @@ macro_rules! plain {
     };
 }
 
-plain!(bool, bool, Bool, |x| x);
-plain!(f64, f64, Double, |x| x);
-plain!(String, &'static str, String, str::to_owned);
-plain!(Vec<bool>, &'static [bool], BoolArray, |x: &[bool]| x.to_vec());
-plain!(Vec<i64>, &'static [i64], IntegerArray, |x: &[i64]| x.to_vec());
-plain!(Vec<f64>, &'static [f64], DoubleArray, |x: &[f64]| x.to_vec());
-plain!(Vec<String>, &'static [&'static str], StringArray, |x: &[&str]| x
-    .iter()
-    .map(|s| (*s).to_owned())
-    .collect());
+plain!(bool, bool, Bool);
+plain!(f64, f64, Double);
+plain!(String, &'static str, String);
 
 macro_rules! integer {
     ($($type:ty),*) => {$(
         impl ParameterType for $type {
             type Literal = $type;
             const KIND: ParameterKind = ParameterKind::Integer;
-
-            fn from_literal(literal: $type) -> Self {
-                literal
-            }
 
             fn from_value(value: &ParameterValue) -> Option<Self> {
                 let ParameterValue::Integer(x) = value else { return None };
@@ -105,10 +92,6 @@ impl ParameterType for [f64; 3] {
     type Literal = Self;
     const KIND: ParameterKind = ParameterKind::DoubleArray;
     const REQUIREMENT: &'static str = "it must have three numbers: x, y, z";
-
-    fn from_literal(literal: Self) -> Self {
-        literal
-    }
 
     fn from_value(value: &ParameterValue) -> Option<Self> {
         let ParameterValue::DoubleArray(numbers) = value else { return None };

@@ -3,7 +3,7 @@
 //! rejects aliases; here they are accepted as long as the tree is not larger than a text without
 //! them could produce.
 
-use serde::de::{Deserialize, DeserializeSeed, Deserializer, Error, MapAccess, SeqAccess, Visitor};
+use serde::de::{DeserializeSeed, Deserializer, Error, MapAccess, SeqAccess, Visitor};
 use serde_yaml_ng::{Mapping, Value, value::Tag, value::TaggedValue};
 use std::{cell::Cell, fmt};
 
@@ -69,10 +69,6 @@ impl<'de> Visitor<'de> for Limited<'_> {
         self.visit_unit()
     }
 
-    fn visit_some<D: Deserializer<'de>>(self, deserializer: D) -> Result<Value, D::Error> {
-        self.deserialize(deserializer)
-    }
-
     fn visit_bool<E: Error>(self, value: bool) -> Result<Value, E> {
         self.spend(1)?;
         Ok(Value::Bool(value))
@@ -123,20 +119,10 @@ impl<'de> Visitor<'de> for Limited<'_> {
 
     fn visit_enum<A: serde::de::EnumAccess<'de>>(self, tagged: A) -> Result<Value, A::Error> {
         use serde::de::VariantAccess;
-        let (tag, content) = tagged.variant_seed(TagName)?;
+        let (tag, content) = tagged.variant::<String>()?;
         self.spend(1 + tag.len())?;
         let value = content.newtype_variant_seed(self)?;
         Ok(Value::Tagged(Box::new(TaggedValue { tag: Tag::new(tag), value })))
-    }
-}
-
-struct TagName;
-
-impl<'de> DeserializeSeed<'de> for TagName {
-    type Value = String;
-
-    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<String, D::Error> {
-        String::deserialize(deserializer)
     }
 }
 

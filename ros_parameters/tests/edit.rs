@@ -4,6 +4,7 @@ use proptest::prelude::*;
 use ros_parameters::{
     ParameterFile, ParameterValue as P,
     edit::{set, set_entry},
+    parse_value,
 };
 
 const RIG: &str = "# measured on Monday
@@ -28,63 +29,37 @@ pose_fusion:
 
 #[test]
 fn a_value_is_replaced_in_the_style_of_the_file() {
-    let at = |node: &str, name: &str, value: P| set(RIG, node, name, &value).unwrap();
-    let three = |a, b, c| P::DoubleArray(vec![a, b, c]);
+    let at = |node: &str, name: &str, value: &str| {
+        set(RIG, node, name, &parse_value(name, value).unwrap()).unwrap()
+    };
     for (node, name, value, from, to) in [
-        (
-            "/**",
-            "camera.position",
-            three(1.0, -2.5, 1e-9),
-            "[0.0, 0.0, -0.10]",
-            "[1.0, -2.5, 1e-9]",
-        ),
+        ("/**", "camera.position", "[1.0, -2.5, 1e-9]", "[0.0, 0.0, -0.10]", "[1.0, -2.5, 1e-9]"),
         (
             "/**",
             "imu.position",
-            three(1.0, 2.0, 3.5),
+            "[1.0, 2.0, 3.5]",
             "- 0.1\n        - 0.2  # to the screw\n        - 0.3",
             "- 1.0\n        - 2.0  # to the screw\n        - 3.5",
         ),
-        ("/**", "markers.size", P::Double(0.1), "0.076   # side", "0.1   # side"),
-        ("/climber_driver", "height", P::Double(3.0), "height: 2.8", "height: 3.0"),
-        (
-            "/climber_driver",
-            "joints.rail_y",
-            P::String("trolley".into()),
-            "rail_x: bridge",
-            "rail_x: bridge, rail_y: trolley",
-        ),
-        (
-            "/climber_driver",
-            "zero.turn",
-            P::Double(0.5),
-            "height: 2.8}",
-            "height: 2.8, zero: {turn: 0.5}}",
-        ),
+        ("/**", "markers.size", "0.1", "0.076   # side", "0.1   # side"),
+        ("/climber_driver", "height", "3.0", "height: 2.8", "height: 3.0"),
+        ("/climber_driver", "joints.rail_y", "trolley", "bridge}", "bridge, rail_y: trolley}"),
+        ("/climber_driver", "zero.turn", "0.5", "2.8}", "2.8, zero: {turn: 0.5}}"),
         (
             "/**",
             "markers.colors.red",
-            three(1.0, 2.0, 3.0),
+            "[1.0, 2.0, 3.0]",
             "# side\n",
             "# side\n      colors:\n        red: [1.0, 2.0, 3.0]\n",
         ),
-        (
-            "/pose_fusion",
-            "model",
-            P::String("tight".into()),
-            "    ros__parameters:\n",
-            "    ros__parameters:\n      model: tight\n",
-        ),
+        ("/pose_fusion", "model", "tight", "parameters:\n", "parameters:\n      model: tight\n"),
     ] {
         // The last block only is empty: its line is the last of that text.
-        let expected = match RIG.rsplit_once(from) {
-            Some((before, after)) => format!("{before}{to}{after}"),
-            None => panic!("{from}"),
-        };
-        assert_eq!(at(node, name, value), expected, "{name}");
+        let (before, after) = RIG.rsplit_once(from).unwrap();
+        assert_eq!(at(node, name, value), format!("{before}{to}{after}"), "{name}");
     }
     assert_eq!(
-        at("/imu_driver", "port", P::String("/dev/ttyUSB0".into())),
+        at("/imu_driver", "port", "/dev/ttyUSB0"),
         format!("{RIG}/imu_driver:\n  ros__parameters:\n    port: \"/dev/ttyUSB0\"\n"),
     );
     // A node in any namespace: a block of its own, where none applies.
@@ -99,7 +74,8 @@ fn a_value_is_replaced_in_the_style_of_the_file() {
     assert_eq!(any(&added, "/dev/b"), block("/**/imu_driver", "b"));
     assert_eq!(any(&block("/imu_driver", "a"), "/dev/b"), block("/imu_driver", "b"));
     let windows = RIG.replace('\n', "\r\n");
-    let edited = set(&windows, "/**", "markers.colors.red", &three(1.0, 2.0, 3.0)).unwrap();
+    let red = P::DoubleArray(vec![1.0, 2.0, 3.0]);
+    let edited = set(&windows, "/**", "markers.colors.red", &red).unwrap();
     assert_eq!(edited.matches('\n').count(), edited.matches("\r\n").count());
     for empty in ["", "# a rig\n", "---\n"] {
         let edited = set(empty, "/**", "markers.size", &P::Double(0.1)).unwrap();

@@ -9,6 +9,12 @@ use rig_model::{
 
 pub use volant::report::{AXES, Track, UNITS, six};
 
+/// Distance, mm, and angle, degrees, of a pose from the truth.
+pub fn distance(pose: &Isometry3<f64>, truth: &Isometry3<f64>) -> [f64; 2] {
+    let position = (pose.translation.vector - truth.translation.vector).norm() * 1e3;
+    [position, pose.rotation.angle_to(&truth.rotation).to_degrees()]
+}
+
 /// Errors of a track, per axis and as a whole.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Errors {
@@ -111,7 +117,7 @@ mod tests {
     use super::*;
     use rig_model::{CameraModel, Distortion, Rig};
     use rig_simulator::{
-        inertial::{Message, SensorConfig, Sensors},
+        inertial::{SensorConfig, Sensors},
         motion::{Motion, MotionConfig},
     };
 
@@ -131,11 +137,7 @@ mod tests {
             accelerometer_bias: Vector3::repeat(bias),
             ..SensorConfig::nominal(3)
         };
-        let samples: Vec<ImuSample> = Sensors::new(&motion, &rig, &camera, &config)
-            .imu()
-            .into_iter()
-            .filter_map(|(_, m)| if let Message::Imu(s) = m { Some(s) } else { None })
-            .collect();
+        let samples = Sensors::new(&motion, &rig, &camera, &config).imu_samples();
         let truth = |s: Stamp| motion.world_from_volant(s.seconds_since(config.epoch));
         let start = samples[0].stamp;
         let k = motion.kinematics(start.seconds_since(config.epoch));
@@ -149,14 +151,8 @@ mod tests {
             config.gravity,
             1e-5,
         );
-        let errors = |from, to| {
-            Errors::of(
-                &track,
-                config.epoch.plus_seconds(from),
-                config.epoch.plus_seconds(to),
-                truth,
-            )
-        };
+        let at = |t| config.epoch.plus_seconds(t);
+        let errors = |from, to| Errors::of(&track, at(from), at(to), truth);
         (errors(0.0, 1.0), errors(5.0, 6.0))
     }
 

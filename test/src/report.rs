@@ -2,7 +2,12 @@
 //! the page are in `volant::report`.
 
 use crate::accuracy::{AXES, Errors, UNITS};
-use std::{fmt::Write, process::Command};
+use node_kit::files::{self, FileError};
+use std::{
+    fmt::Write,
+    path::{Path, PathBuf},
+    process::Command,
+};
 
 /// Paragraph that names the version with which a table was measured, and the commit where git knows
 /// it.
@@ -19,6 +24,41 @@ pub fn measured_with() -> String {
     let commit = commit.map(|c| if changed { c + ", with later changes" } else { c });
     let version = env!("CARGO_PKG_VERSION");
     format!("Measured with version {version}{}.\n\n", commit.unwrap_or_default())
+}
+
+/// Options of the commands that write a measured table.
+#[derive(Debug, clap::Args)]
+pub struct TableFile {
+    /// Also write the table, as Markdown, to this file
+    #[arg(long)]
+    table: Option<PathBuf>,
+    /// Replace an existing table
+    #[arg(long)]
+    overwrite: bool,
+}
+
+impl TableFile {
+    /// Checks before the work that the file can be written and is none of `inputs`.
+    pub fn check(&self, inputs: &[&Path]) -> Result<(), FileError> {
+        let outputs: Vec<&Path> = self.table.iter().map(PathBuf::as_path).collect();
+        files::check_outputs(&outputs, self.overwrite, inputs)
+    }
+
+    /// Writes the table below `head` and the version that it was measured with.
+    pub fn write(&self, head: &str, table: &str) -> Result<(), FileError> {
+        let Some(path) = &self.table else { return Ok(()) };
+        let page = format!("{head}{}{table}", measured_with());
+        files::write(path, page.as_bytes(), self.overwrite)
+    }
+}
+
+/// Whether a row of a table holds, as Markdown.
+pub fn verdict(failures: &[String]) -> String {
+    if failures.is_empty() {
+        "holds".to_owned()
+    } else {
+        format!("**fails**: {}", failures.join("; "))
+    }
 }
 
 /// One estimate: its name, and the errors that it made.

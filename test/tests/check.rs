@@ -12,7 +12,7 @@ use std::{
     process::{Command, Output},
 };
 use volant_test::{
-    check::{Bench, FAULTS, findings_while_running},
+    check::{Bench, FAULTS, Fault, findings_while_running},
     robustness::recording::Recording,
 };
 
@@ -33,13 +33,16 @@ const KINDS: [&str; 13] = [
     "two climbers on one topic",
 ];
 
+fn fault(name: &str) -> &'static Fault {
+    FAULTS.iter().find(|f| f.name == name).unwrap()
+}
+
 #[test]
 fn one_fault_of_each_kind_is_named() {
     let bench = Bench::simulated(1).unwrap();
     assert!(bench.clean().findings.is_empty(), "{:?}", bench.clean().findings);
     for kind in KINDS {
-        let fault = FAULTS.iter().find(|f| f.name == kind).unwrap();
-        let cell = bench.cell(fault);
+        let cell = bench.cell(fault(kind));
         assert!(cell.right, "{kind}: {} {:?}", cell.text, cell.sentences);
     }
 }
@@ -69,8 +72,7 @@ const SYMPTOMS: [(&str, &str); 8] = [
 fn the_running_filter_reports_symptoms_and_none_of_correct_files() {
     let bench = Bench::simulated(1).unwrap();
     for (kind, word) in SYMPTOMS {
-        let fault = FAULTS.iter().find(|f| f.name == kind).unwrap();
-        let found = bench.while_running(Some(fault)).join("; ");
+        let found = bench.while_running(Some(fault(kind))).join("; ");
         assert!(found.contains(word), "{kind}: {found}");
     }
     for seed in 11..14 {
@@ -110,23 +112,16 @@ fn a_climber_at_rest_is_unobservable_and_not_frozen() {
 fn the_running_filter_reports_exchanged_colors_in_a_recording_with_images() {
     let Some(shared) = test_support::recordings() else { return };
     let bench = Bench::read(&shared.join("bags/nominal")).unwrap();
-    let fault = FAULTS.iter().find(|f| f.name == "red and green swapped").unwrap();
-    let found = bench.while_running(Some(fault)).join("; ");
+    let found = bench.while_running(Some(fault("red and green swapped"))).join("; ");
     assert!(found.contains("no pose fits"), "{found}");
     assert!(bench.while_running(None).is_empty(), "{:?}", bench.while_running(None));
 }
 
 fn check(bag: &Path, rig: &Path, json: &Path) -> Output {
     let volant = Path::new(env!("CARGO_BIN_EXE_volant-rig")).with_file_name("volant");
-    Command::new(volant)
-        .arg("check")
-        .arg(bag)
-        .arg("--rig")
-        .arg(rig)
-        .arg("--json")
-        .arg(json)
-        .output()
-        .unwrap()
+    let mut command = Command::new(volant);
+    command.arg("check").arg(bag).arg("--rig").arg(rig).arg("--json").arg(json);
+    command.output().unwrap()
 }
 
 #[test]

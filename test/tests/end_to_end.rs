@@ -17,50 +17,41 @@ use rig_model::{
 };
 use std::{
     collections::{HashMap, HashSet},
-    io::{BufRead, BufReader, Write},
     path::Path,
-    process::{Child, Command, Stdio},
+    process::{Command, Stdio},
     sync::Arc,
     time::Duration,
 };
-use volant_msgs::msg::MarkerObservation;
+use test_support::process::Running;
+use volant_msgs::{msg::MarkerObservation, std_msgs::msg::Header};
 use volant_test::{
     accuracy::Errors,
-    live::{ImageSequence, Received, Run, Scenario, Site, quantile},
+    live::{Ended, ImageSequence, Received, Run, Scenario, Site, quantile},
 };
 
 const DOMAIN: u16 = 87;
 const SECONDS: f64 = 7.0;
+const LONG: Duration = Duration::from_secs(60);
 
-struct Peer {
-    process: Child,
-    reader: std::thread::JoinHandle<Vec<String>>,
-}
+struct Peer(Running);
 
 impl Peer {
     /// `None` where there is no Python for it.
     fn start() -> Option<Self> {
         let python = test_support::python("cyclonedds")?;
         let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peer/listen.py");
-        let mut process = Command::new(python)
-            .args([script.as_os_str(), DOMAIN.to_string().as_ref(), "60".as_ref()])
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let mut lines = BufReader::new(process.stdout.take().unwrap()).lines();
-        let ready =
-            lines.next().expect("the peer ended before it was ready: see its words above").unwrap();
-        assert!(ready.contains("ready"), "{ready}");
-        let reader = std::thread::spawn(move || lines.map_while(Result::ok).collect());
-        Some(Self { process, reader })
+        let mut command = Command::new(python);
+        command.arg(script).args([DOMAIN.to_string().as_str(), "60"]).stdin(Stdio::piped());
+        let peer = Running::start(&mut command);
+        peer.line_with("ready", LONG);
+        Some(Self(peer))
     }
 
     /// By topic and stamp: frame and values.
     fn finish(mut self) -> HashMap<(String, i64), (String, Vec<f64>)> {
-        writeln!(self.process.stdin.take().unwrap(), "end").unwrap();
-        let lines = self.reader.join().unwrap();
-        assert!(self.process.wait().unwrap().success());
+        self.0.write_line("end");
+        let (status, lines) = self.0.finish(LONG);
+        assert!(status.success(), "{lines:?}");
         let parse = |line: &String| {
             let value: serde_json::Value = serde_json::from_str(line).unwrap();
             let values = value["values"].as_array().unwrap();
@@ -69,7 +60,8 @@ impl Peer {
             let frame = value["frame"].as_str().unwrap().to_owned();
             (key, (frame, values.iter().map(|v| v.as_str().unwrap().parse().unwrap()).collect()))
         };
-        lines.iter().map(parse).collect()
+        // Warnings are not JSON.
+        lines.iter().filter(|line| line.starts_with('{')).map(parse).collect()
     }
 }
 
@@ -78,20 +70,30 @@ fn same(a: &[f64], b: &[f64]) -> bool {
     a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a == b || (a.is_nan() && b.is_nan()))
 }
 
-#[test]
-fn four_processes_turn_frames_bytes_and_encoders_into_the_pose() {
+fn render() -> (Scenario, Arc<ImageSequence>) {
     let scenario = Scenario::swing(7, SECONDS).unwrap();
-    let images = Arc::new(ImageSequence::render(&scenario, 2, |_, _| {}).unwrap());
-    let folder = std::env::temp_dir().join(format!("volant-end-to-end-{}", std::process::id()));
+    let images = ImageSequence::of(&scenario).unwrap();
+    (scenario, Arc::new(images))
+}
+
+/// Runs the rig with its logs in `folder`; the instants between which it is evaluated.
+fn ran(scenario: &Scenario, images: Arc<ImageSequence>, folder: &Path) -> (Ended, Stamp, Stamp) {
     let network = Network { domain_id: DOMAIN, ..Network::default() };
-    let peer = Peer::start();
-    let mut run = Run::start(&scenario, images, &Site::here(&network), &folder).unwrap();
+    let mut run = Run::start(scenario, images, &Site::here(&network), folder).unwrap();
     run.wait_for_pose(30.0).unwrap();
     let epoch = run.begin();
     run.play_until(SECONDS + 0.3, |_, _| {}).unwrap();
     let ended = run.finish().unwrap();
-    let received = &ended.received;
-    let (from, to) = (epoch.plus_seconds(1.0), epoch.plus_seconds(SECONDS - 0.1));
+    (ended, epoch.plus_seconds(1.0), epoch.plus_seconds(SECONDS - 0.1))
+}
+
+#[test]
+fn four_processes_turn_frames_bytes_and_encoders_into_the_pose() {
+    let (scenario, images) = render();
+    let folder = std::env::temp_dir().join(format!("volant-end-to-end-{}", std::process::id()));
+    let peer = Peer::start();
+    let (ended, from, to) = ran(&scenario, images, &folder);
+    let (received, epoch) = (&ended.received, ended.epoch);
     let truth = |at: Stamp| scenario.motion.world_from_volant(at.seconds_since(epoch));
 
     check_rates(received, from, to);
@@ -118,16 +120,9 @@ fn four_processes_turn_frames_bytes_and_encoders_into_the_pose() {
 #[test]
 #[ignore = "measures wall time: make long"]
 fn odometry_contains_an_image_within_50_ms() {
-    let scenario = Scenario::swing(7, SECONDS).unwrap();
-    let images = Arc::new(ImageSequence::render(&scenario, 2, |_, _| {}).unwrap());
+    let (scenario, images) = render();
     let folder = tempfile::tempdir().unwrap();
-    let network = Network { domain_id: DOMAIN, ..Network::default() };
-    let mut run = Run::start(&scenario, images, &Site::here(&network), folder.path()).unwrap();
-    run.wait_for_pose(30.0).unwrap();
-    let epoch = run.begin();
-    run.play_until(SECONDS + 0.3, |_, _| {}).unwrap();
-    let ended = run.finish().unwrap();
-    let (from, to) = (epoch.plus_seconds(1.0), epoch.plus_seconds(SECONDS - 0.1));
+    let (ended, from, to) = ran(&scenario, images, folder.path());
     let latencies = ended.received.latencies(from, to);
     // Other processes delay some images; a wait inside the nodes would show in the best second too.
     let best = latencies
@@ -280,19 +275,14 @@ fn check_peer(
         values.extend(p.covariance);
         values
     };
-    let mut ours: Vec<(&str, Stamp, &str, Vec<f64>)> = Vec::new();
+    let mut ours: Vec<(&str, &Header, Vec<f64>)> = Vec::new();
     for (_, m) in &received.odometry {
         let mut values = of_pose(&m.pose);
         values.extend([m.twist.twist.linear.x, m.twist.twist.angular.z]);
-        ours.push((topics::ODOMETRY, stamp(&m.header.stamp), &m.header.frame_id, values));
+        ours.push((topics::ODOMETRY, &m.header, values));
     }
     for (_, m) in &received.fused_pose {
-        ours.push((
-            topics::FUSED_POSE,
-            stamp(&m.header.stamp),
-            &m.header.frame_id,
-            of_pose(&m.pose),
-        ));
+        ours.push((topics::FUSED_POSE, &m.header, of_pose(&m.pose)));
     }
     for (_, m) in &received.markers {
         let values = m
@@ -309,16 +299,18 @@ fn check_peer(
                 ]
             })
             .collect();
-        ours.push((topics::MARKERS, stamp(&m.header.stamp), &m.header.frame_id, values));
+        ours.push((topics::MARKERS, &m.header, values));
     }
     for topic in [topics::ODOMETRY, topics::FUSED_POSE, topics::MARKERS] {
+        let within = |header: &Header| (from..=to).contains(&stamp(&header.stamp));
         let of_topic: Vec<_> =
-            ours.iter().filter(|(t, at, ..)| *t == topic && *at >= from && *at <= to).collect();
+            ours.iter().filter(|(t, header, _)| *t == topic && within(header)).collect();
         let mut found = 0;
-        for (_, at, frame, values) in &of_topic {
+        for (_, header, values) in &of_topic {
+            let at = stamp(&header.stamp);
             if let Some((their_frame, theirs)) = peer.get(&(topic.to_owned(), at.as_nanos())) {
                 found += 1;
-                assert_eq!(frame, their_frame);
+                assert_eq!(header.frame_id, *their_frame);
                 assert!(same(values, theirs), "{topic} at {at}: {values:?} {theirs:?}");
             }
         }

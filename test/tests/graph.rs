@@ -9,10 +9,11 @@ use node_kit::{
 };
 use std::{
     path::Path,
-    process::{Child, Command, Stdio},
+    process::{Command, Stdio},
     sync::{Arc, mpsc},
     time::{Duration, Instant},
 };
+use test_support::process::Running;
 use volant_msgs::{
     diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus},
     sensor_msgs::msg::JointState,
@@ -185,15 +186,6 @@ fn a_publisher_that_was_killed_is_no_second_one() {
     observed.graph("/climber_driver", OK, &[]);
 }
 
-struct Foreign(Child);
-
-impl Drop for Foreign {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
 #[test]
 fn foreign_publishers_beside_ours_are_named() {
     let names = [("cyclonedds", "a publisher without a node name"), ("rclpy", "/foreign at ")];
@@ -204,15 +196,10 @@ fn foreign_publishers_beside_ours_are_named() {
         let _fusion = node(domain, module, "pose_fusion", &[]);
         observed.graph("/pose_fusion", OK, &[]);
         let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peer/publish.py");
-        let foreign = Command::new(python)
-            .arg(script)
-            .args([module, "/climber/transform"])
-            .env("ROS_DOMAIN_ID", domain.to_string())
-            .env_remove("ROS_AUTOMATIC_DISCOVERY_RANGE")
-            .stdin(Stdio::null())
-            .spawn()
-            .unwrap();
-        let foreign = Foreign(foreign);
+        let mut foreign = Command::new(python);
+        foreign.arg(script).args([module, "/climber/transform"]);
+        foreign.env("ROS_DOMAIN_ID", domain.to_string()).stdin(Stdio::null());
+        let foreign = Running::start(foreign.env_remove("ROS_AUTOMATIC_DISCOVERY_RANGE"));
         let texts = ["2 publishers on /climber/transform", "/climber_driver at ", name, "GID "];
         observed.graph("/pose_fusion", WARN, &texts);
         observed.graph("/climber_driver", OK, &[]);

@@ -7,12 +7,17 @@
 #[path = "../fuzz/exercise/mod.rs"]
 mod exercise;
 
+use bag::BagReader;
 use exercise::{
     TARGETS, image,
     mutate::{Random, mutate},
 };
 use marker_tracker::{ImageError, decode_compressed};
-use std::time::{Duration, Instant};
+use std::{
+    io::Cursor,
+    path::Path,
+    time::{Duration, Instant},
+};
 
 /// Longest time for one input; usual are microseconds.
 const LONGEST: Duration = Duration::from_secs(10);
@@ -22,6 +27,18 @@ fn most_memory<T>(work: impl FnOnce() -> T) -> (T, u64) {
     let mut result = None;
     let most = allocation_counter::measure(|| result = Some(work())).bytes_max;
     (result.unwrap(), most)
+}
+
+/// A bag of these bytes, read to its end, and the number of its messages.
+fn read_bag(bytes: Vec<u8>) -> (BagReader, usize) {
+    let mut bag = BagReader::from_reader(Path::new("x.mcap"), Cursor::new(bytes)).unwrap();
+    let messages = std::iter::from_fn(|| bag.next_message().unwrap()).count();
+    (bag, messages)
+}
+
+/// A bag with this chunk.
+fn with_chunk(body: &[u8]) -> Vec<u8> {
+    [&b"\x89MCAP0\r\n\x06"[..], &(body.len() as u64).to_le_bytes(), body].concat()
 }
 
 fn run(name: &str) {
@@ -81,15 +98,7 @@ fn the_seeds_are_valid_inputs() {
     // Three JPEGs, one of headers only, and the PNGs with colors.
     assert_eq!(decoded, 3 + 1 + 4);
     for seed in exercise::bag::seeds() {
-        let mut bag = bag::BagReader::from_reader(
-            std::path::Path::new("seed"),
-            std::io::Cursor::new(seed.clone()),
-        )
-        .unwrap();
-        let mut messages = 0;
-        while bag.next_message().unwrap().is_some() {
-            messages += 1;
-        }
+        let (bag, messages) = read_bag(seed);
         assert!(messages == 6 || messages == 1, "{messages}");
         assert!(bag.losses().is_empty(), "{:?}", bag.losses());
     }
@@ -189,7 +198,6 @@ fn lengths_beyond_the_input_allocate_nothing() {
 /// Found by the fuzzer: arithmetic below zero in the `mcap` crate.
 #[test]
 fn a_record_longer_than_its_chunk_is_damage() {
-    use bag::BagReader;
     let mut records = vec![3];
     records.extend(200_u64.to_le_bytes());
     records.extend([0; 40]);
@@ -200,18 +208,13 @@ fn a_record_longer_than_its_chunk_is_damage() {
     body.extend(&records);
     // What follows the chunk's records would do for the rest.
     body.extend([0; 300]);
-    let mut file = b"\x89MCAP0\r\n\x06".to_vec();
-    file.extend((body.len() as u64).to_le_bytes());
-    file.extend(body);
-    let mut bag =
-        BagReader::from_reader(std::path::Path::new("x.mcap"), std::io::Cursor::new(file)).unwrap();
-    assert!(bag.next_message().unwrap().is_none());
+    let (bag, messages) = read_bag(with_chunk(&body));
+    assert_eq!(messages, 0);
     assert!(bag.losses()[0].contains("longer than the chunk"), "{:?}", bag.losses());
 }
 
 #[test]
 fn a_chunk_that_decompresses_without_end_is_rejected() {
-    use bag::BagReader;
     // A chunk that claims 2 GiB, in all three forms of compression, and with and without a
     // checksum.
     for compression in ["", "lz4", "zstd"] {
@@ -223,17 +226,9 @@ fn a_chunk_that_decompresses_without_end_is_rejected() {
             body.extend(compression.as_bytes());
             body.extend(16_u64.to_le_bytes());
             body.extend([0; 16]);
-            let mut file = b"\x89MCAP0\r\n\x06".to_vec();
-            file.extend((body.len() as u64).to_le_bytes());
-            file.extend(body);
-            let (losses, most) = most_memory(|| {
-                let input = std::io::Cursor::new(file.clone());
-                let mut bag =
-                    BagReader::from_reader(std::path::Path::new("bomb.mcap"), input).unwrap();
-                while bag.next_message().unwrap().is_some() {}
-                bag.losses().to_vec()
-            });
-            assert!(!losses.is_empty());
+            let file = with_chunk(&body);
+            let ((bag, _), most) = most_memory(|| read_bag(file));
+            assert!(!bag.losses().is_empty());
             assert!(most < 8 << 20, "{compression} {crc}: {most}");
         }
     }

@@ -1,18 +1,18 @@
 //! Replay of encoder readings through the climber driver, with the parameters of the nodes' files.
 #![allow(missing_docs, clippy::unwrap_used)]
 
-use bag::BagReader;
+use bag::recording::map_messages;
 use climber_driver::{Climber, ClimberConfig, JointReading, Output};
 use node_kit::convert;
 use rig_model::{ClimberSample, topics};
 use rig_simulator::motion::MotionConfig;
 use std::{
     fs,
-    path::Path,
+    path::{Path, PathBuf},
     process::{self, Command},
 };
 use tempfile::TempDir;
-use volant_msgs::{cdr, geometry_msgs::msg::TransformStamped, sensor_msgs::msg::JointState};
+use volant_msgs::{geometry_msgs::msg::TransformStamped, sensor_msgs::msg::JointState};
 use volant_test::live::{Scenario, bag::from_sensors, processes::executables};
 
 /// Encoders with names, scale, sign and zero of their own.
@@ -54,6 +54,27 @@ fn joints(sample: &ClimberSample) -> JointState {
     }
 }
 
+/// A folder with the encoder readings of a swing, `joints.mcap`, and its rig file, `rig.yaml`.
+struct Place {
+    folder: TempDir,
+    scenario: Scenario,
+}
+
+impl Place {
+    fn new(seconds: f64) -> Self {
+        let scenario = Scenario::swing(7, seconds).unwrap();
+        let place = Self { folder: TempDir::new().unwrap(), scenario };
+        let topic = topics::absolute::JOINT_STATES;
+        from_sensors(&place.path("joints.mcap"), &place.scenario, topic, joints).unwrap();
+        fs::write(place.path("rig.yaml"), &place.scenario.rig_yaml).unwrap();
+        place
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+}
+
 fn replay(bag: &Path, out: &Path, rig: &Path, more: &[&str]) -> process::Output {
     let mut command = Command::new(executables().join("volant"));
     command.arg("replay").arg(bag).arg("--rig").arg(rig).arg("--out").arg(out);
@@ -62,15 +83,13 @@ fn replay(bag: &Path, out: &Path, rig: &Path, more: &[&str]) -> process::Output 
 
 #[test]
 fn encoder_readings_give_the_pose_of_the_drivers_transforms() {
-    let dir = TempDir::new().unwrap();
-    let path = |name: &str| dir.path().join(name);
-    let scenario = Scenario::swing(7, 5.0).unwrap();
-    from_sensors(&path("joints.mcap"), &scenario, topics::absolute::JOINT_STATES, joints).unwrap();
+    let place = Place::new(5.0);
+    let (path, scenario) = (|name: &str| place.path(name), &place.scenario);
     // The driver's core over the same readings, received when they were logged.
     let mut driver = Climber::new(config()).unwrap();
     let mut transforms = 0;
     let topic = topics::absolute::CLIMBER_TRANSFORM;
-    from_sensors(&path("transforms.mcap"), &scenario, topic, |sample| {
+    from_sensors(&path("transforms.mcap"), scenario, topic, |sample| {
         let m = joints(sample);
         let reading = JointReading { stamp: sample.stamp, names: m.name, positions: m.position };
         driver.handle(&reading, sample.stamp);
@@ -84,7 +103,6 @@ fn encoder_readings_give_the_pose_of_the_drivers_transforms() {
     let height = config().height;
     let parameters = PARAMETERS.replace("HEIGHT", &format!("{height:?}"));
     let (rig, params, both) = (path("rig.yaml"), path("climber.yaml"), path("both.yaml"));
-    fs::write(&rig, &scenario.rig_yaml).unwrap();
     fs::write(&params, &parameters).unwrap();
     fs::write(&both, format!("{}\n{parameters}", scenario.rig_yaml)).unwrap();
     let done = |bag: &str, out: &str, rig: &Path, more: &[&str]| {
@@ -96,10 +114,8 @@ fn encoder_readings_give_the_pose_of_the_drivers_transforms() {
     let params = params.to_str().unwrap();
     assert!(done("joints.mcap", "file.mcap", &rig, &["--params-file", params]) == usual);
     assert!(done("joints.mcap", "block.mcap", &both, &[]) == usual);
-    let heights: Vec<f64> = messages(&path("block.mcap"))
-        .iter()
-        .map(|data| cdr::from_bytes::<TransformStamped>(data).unwrap().transform.translation.z)
-        .collect();
+    let height_of = |_, m: TransformStamped| m.transform.translation.z;
+    let heights = map_messages(&path("block.mcap"), topic, height_of).unwrap();
     assert_eq!(heights.len(), transforms);
     assert!(heights.iter().all(|z| (z - height).abs() < 1e-12));
     // In a namespace, with the block of that rig's driver and another topic.
@@ -120,11 +136,8 @@ fn encoder_readings_give_the_pose_of_the_drivers_transforms() {
 /// `volant check` reads encoders through the driver, too, and names a wrong sign in its parameters.
 #[test]
 fn a_check_names_a_reversed_joint_of_the_parameter_file() {
-    let dir = TempDir::new().unwrap();
-    let path = |name: &str| dir.path().join(name);
-    let scenario = Scenario::swing(7, 14.0).unwrap();
-    from_sensors(&path("joints.mcap"), &scenario, topics::absolute::JOINT_STATES, joints).unwrap();
-    fs::write(path("rig.yaml"), &scenario.rig_yaml).unwrap();
+    let place = Place::new(14.0);
+    let path = |name: &str| place.path(name);
     let right = PARAMETERS.replace("HEIGHT", &format!("{:?}", config().height));
     for (text, status, said) in [
         (right.clone(), 0, "nothing is wrong"),
@@ -155,11 +168,8 @@ fn scale(message: &mut TransformStamped, factor: f64) {
 /// `volant check` and `volant replay` name why a climber transform is rejected.
 #[test]
 fn rejected_transforms_are_named_by_check_and_replay() {
-    let dir = TempDir::new().unwrap();
-    let path = |name: &str| dir.path().join(name);
-    let scenario = Scenario::swing(7, 6.0).unwrap();
-    fs::write(path("rig.yaml"), &scenario.rig_yaml).unwrap();
-    let rig = path("rig.yaml");
+    let place = Place::new(6.0);
+    let (scenario, rig) = (&place.scenario, place.path("rig.yaml"));
     type Change = fn(&mut TransformStamped);
     let wrong: [(&str, Change, &str); 3] = [
         ("parent", |m| m.header.frame_id = "map".into(), "the frames are `map` and `climber`"),
@@ -167,8 +177,8 @@ fn rejected_transforms_are_named_by_check_and_replay() {
         ("zero", |m| scale(m, 0.0), "a quaternion of length 0 is no"),
     ];
     for (name, change, said) in wrong {
-        let bag = path(&format!("{name}.mcap"));
-        from_sensors(&bag, &scenario, topics::absolute::CLIMBER_TRANSFORM, |sample| {
+        let bag = place.path(&format!("{name}.mcap"));
+        from_sensors(&bag, scenario, topics::absolute::CLIMBER_TRANSFORM, |sample| {
             let mut message = convert::climber_message(sample, &scenario.rig.frames);
             change(&mut message);
             message
@@ -176,7 +186,8 @@ fn rejected_transforms_are_named_by_check_and_replay() {
         .unwrap();
         let mut check = Command::new(executables().join("volant"));
         check.arg("check").arg(&bag).arg("--rig").arg(&rig);
-        for output in [replay(&bag, &path("out.mcap"), &rig, &[]), check.output().unwrap()] {
+        let replayed = replay(&bag, &place.path("out.mcap"), &rig, &[]);
+        for output in [replayed, check.output().unwrap()] {
             let printed = String::from_utf8_lossy(&output.stderr);
             assert_eq!(output.status.code(), Some(1), "{printed}");
             assert!(printed.contains(said), "{printed}");
@@ -188,13 +199,11 @@ fn rejected_transforms_are_named_by_check_and_replay() {
 /// `volant replay` names why no encoder reading was accepted.
 #[test]
 fn encoder_readings_of_other_joints_are_named_by_replay() {
-    let dir = TempDir::new().unwrap();
-    let path = |name: &str| dir.path().join(name);
-    let scenario = Scenario::swing(7, 3.0).unwrap();
-    from_sensors(&path("joints.mcap"), &scenario, topics::absolute::JOINT_STATES, joints).unwrap();
+    let place = Place::new(3.0);
+    let path = |name: &str| place.path(name);
     // The joints are not named in the parameters.
     let block = "climber_driver: {ros__parameters: {height: 3.0}}";
-    fs::write(path("rig.yaml"), format!("{}\n{block}\n", scenario.rig_yaml)).unwrap();
+    fs::write(path("rig.yaml"), format!("{}\n{block}\n", place.scenario.rig_yaml)).unwrap();
     let output = replay(&path("joints.mcap"), &path("out.mcap"), &path("rig.yaml"), &[]);
     let printed = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{printed}");
@@ -202,22 +211,12 @@ fn encoder_readings_of_other_joints_are_named_by_replay() {
     assert!(printed.contains("joints.rail_x"), "{printed}");
 }
 
-fn messages(path: &Path) -> Vec<Vec<u8>> {
-    let mut bag = BagReader::open(path).unwrap();
-    std::iter::from_fn(|| bag.next_message().unwrap())
-        .filter(|m| m.topic.name == topics::absolute::CLIMBER_TRANSFORM)
-        .map(|m| m.data)
-        .collect()
-}
-
 /// What a live node with the same files rejects, a replay rejects in the same words.
 #[test]
 fn a_replay_rejects_what_a_live_node_rejects() {
-    let dir = TempDir::new().unwrap();
-    let (bag, out, rig) =
-        (dir.path().join("in.mcap"), dir.path().join("out.mcap"), dir.path().join("rig.yaml"));
-    let scenario = Scenario::swing(7, 3.0).unwrap();
-    from_sensors(&bag, &scenario, topics::absolute::JOINT_STATES, joints).unwrap();
+    let place = Place::new(3.0);
+    let [bag, out, rig] = ["joints.mcap", "out.mcap", "rig.yaml"].map(|name| place.path(name));
+    let scenario = &place.scenario;
     for (node, block) in [
         ("pose_fusion", "/pose_fusoin: {ros__parameters: {model: paper}}"),
         ("climber_driver", "/rig/climber_drvier: {ros__parameters: {height: 1.0}}"),

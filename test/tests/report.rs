@@ -6,6 +6,7 @@
 mod browser;
 
 use browser::{Browser, installed};
+use rig_simulator::parallel;
 use std::path::Path;
 use volant_test::{
     live::{ImageSequence, Scenario},
@@ -31,7 +32,7 @@ fn make(folder: &Path) -> Vec<Made> {
     for (name, text) in PEERS {
         std::fs::write(folder.join(name), text).unwrap();
     }
-    let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    let threads = parallel::processors();
     let stages = Stages::of(1, threads).unwrap();
     let scenario = Scenario::swing(1, 4.0).unwrap();
     let images = ImageSequence::render(&scenario, threads, |_, _| {}).unwrap();

@@ -15,10 +15,13 @@ use volant_test::{
 };
 
 /// The recording of a name with the true centroids and 0.1 px of noise, where there are recordings.
-fn bench(name: &str) -> Option<Bench> {
+fn recording(name: &str) -> Option<Recording> {
     let folder = test_support::recordings()?.join("bags").join(name);
-    let recording = Recording::read(&folder, None).unwrap();
-    Some(Bench::new(recording, FusionConfig::default()))
+    Some(Recording::read(&folder, None).unwrap())
+}
+
+fn bench(name: &str) -> Option<Bench> {
+    Some(Bench::new(recording(name)?, FusionConfig::default()))
 }
 
 const BAGS: [&str; 7] =
@@ -72,8 +75,7 @@ const RECOVERED: f64 = 5.0;
 fn a_sensor_that_fails_while_the_filter_starts_does_no_lasting_harm() {
     use Perturbation::*;
     for name in BAGS {
-        let Some(folder) = test_support::recordings() else { return };
-        let recording = Recording::read(&folder.join("bags").join(name), None).unwrap();
+        let Some(recording) = recording(name) else { return };
         for from in [0.5, 1.0, 1.5, 2.0, 2.5] {
             let recording = Recording { perturbed_from: from, ..recording.clone() };
             let bench = Bench::new(recording, FusionConfig::default());
@@ -114,8 +116,7 @@ const MISTAKEN: f64 = 0.15;
 fn a_wrong_unit_sign_or_direction_of_the_imu_makes_the_pose_invalid() {
     use Perturbation::*;
     for name in BAGS {
-        let Some(folder) = test_support::recordings() else { return };
-        let recording = Recording::read(&folder.join("bags").join(name), None).unwrap();
+        let Some(recording) = recording(name) else { return };
         // In g, negated, without gravity; in degrees per second, negated, turned.
         for (change, starts) in [
             (AccelerometerScale(1.0 / 9.80665 - 1.0), false),

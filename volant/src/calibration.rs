@@ -1,16 +1,12 @@
 //! Reads a bag into the samples of the batch estimators, refines a rig with them, and checks it.
 
-use crate::replay::{Counts, Fed, Feed, ImageTopic, TopicNames, decode, kind_of};
-use anyhow::{Context, Result, bail};
-use bag::{BagMessage, BagReader};
-use climber_driver::{Climber, ClimberConfig, JointReading};
+use crate::replay::{Fed, Feed, FrontEnd, ImageTopic, Roles, TopicNames, decoding_threads};
+use anyhow::{Context, Result, anyhow, bail};
+use bag::BagReader;
+use climber_driver::{Climber, ClimberConfig};
 use marker_tracker::{Input, Output, Tracker, TrackerConfig};
-use node_kit::convert;
 use rig_calibration::{Estimate, Recording, Report, Samples, Track, examine_stamps, refine_rig};
-use rig_model::{
-    CameraModel, ClimberSample, ImuSample, MarkerColor, MarkerLayout, MarkerObservations, Rig,
-    Stamp, topics,
-};
+use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations, Rig, Sample, topics};
 use std::path::Path;
 use volant_msgs::{
     Message, geometry_msgs, msg::MarkerObservations as MarkersMessage, sensor_msgs::msg,
@@ -20,19 +16,6 @@ use volant_msgs::{
 /// accuracy of a good recording.
 const SETTLED: f64 = 3e-5;
 const ROUNDS: usize = 4;
-
-fn workers() -> usize {
-    std::thread::available_parallelism().map_or(1, usize::from)
-}
-
-/// Appends what the tracker has found.
-fn collect(tracker: &mut Tracker, markers: &mut Vec<MarkerObservations>) {
-    while let Some(output) = tracker.poll() {
-        if let Output::Observations(observations) = output {
-            markers.push(observations);
-        }
-    }
-}
 
 /// Configuration of the cores that a bag is read with, and the names of its topics.
 #[derive(Clone, Debug)]
@@ -83,44 +66,50 @@ fn read(
     let choose = |alternatives: &[_]| {
         cores.names.choose(&summary, alternatives).with_context(|| shown.to_string())
     };
-    let images = ImageTopic::of(&summary, &cores.names).with_context(|| shown.to_string())?;
-    let has_images = images.is_some();
-    let mut wanted = vec![choose(&[(topics::CAMERA_INFO, msg::CameraInfo::TYPE_NAME)])?];
-    if !has_images {
-        wanted.push(choose(&[(topics::MARKERS, MarkersMessage::TYPE_NAME)])?);
+    let only = |name, kind| -> Result<_> { Ok(choose(&[(name, kind)])?.map(|(_, name)| name)) };
+    let mut roles = Roles {
+        images: ImageTopic::of(&summary, &cores.names).with_context(|| shown.to_string())?,
+        camera: only(topics::CAMERA_INFO, msg::CameraInfo::TYPE_NAME)?,
+        ..Roles::default()
+    };
+    if roles.images.is_none() {
+        roles.markers = only(topics::MARKERS, MarkersMessage::TYPE_NAME)?;
     }
     let mut driver = None;
     if motion {
-        let climber = choose(&[
+        match choose(&[
             (topics::CLIMBER_TRANSFORM, geometry_msgs::msg::TransformStamped::TYPE_NAME),
             (topics::JOINT_STATES, msg::JointState::TYPE_NAME),
-        ])?;
-        driver = match &cores.climber {
-            _ if !matches!(climber, Some((1, _))) => None,
-            Ok(config) => Some(Climber::new(config.clone()).with_context(|| shown.to_string())?),
-            Err(reason) => {
-                bail!("{shown}: climber/joint_states is converted by climber_driver: {reason}")
+        ])? {
+            None => {}
+            Some((0, name)) => roles.transforms = Some(name),
+            Some((_, name)) => {
+                let config = cores.climber.clone().map_err(|reason| {
+                    anyhow!(
+                        "{shown}: climber/joint_states is converted by climber_driver: {reason}"
+                    )
+                })?;
+                driver = Some(Climber::new(config).with_context(|| shown.to_string())?);
+                roles.joints = Some(name);
             }
-        };
-        wanted.extend([choose(&[(topics::IMU, msg::Imu::TYPE_NAME)])?, climber]);
+        }
+        roles.imu = only(topics::IMU, msg::Imu::TYPE_NAME)?;
     }
-    let wanted = wanted.into_iter().flatten().map(|(_, name)| name).collect();
-    let mut feed = Feed::start(path, images, wanted, workers())?;
-    let mut reading = Reading {
-        rig,
-        tracker: Tracker::new(rig.markers.clone(), cores.tracker.clone()),
-        driver,
-        camera: None,
-        markers: vec![],
-        imu: vec![],
-        climber: vec![],
-        rejected: vec![],
-        counts: Counts::default(),
-    };
+    let mut feed = Feed::start(path, roles.images.clone(), roles.messages(), decoding_threads())?;
+    let mut front_end = FrontEnd::new(rig, roles, &cores.tracker, driver);
+    let (mut markers, mut imu, mut climber) = (vec![], vec![], vec![]);
     while let Some(fed) = feed.take()? {
-        reading.take(fed);
+        for sample in front_end.handle(fed) {
+            match sample {
+                Sample::Markers(observations) => markers.push(observations),
+                Sample::Imu(sample) => imu.push(sample),
+                Sample::Climber(sample) => climber.push(sample),
+                // The last one counts.
+                Sample::Camera(_) => {}
+            }
+        }
     }
-    let Reading { camera, markers, imu, climber, rejected, counts, .. } = reading;
+    let FrontEnd { camera, rejected, counts, .. } = front_end;
     losses.extend(feed.losses());
     losses.extend(counts.warning_lines());
     if let Some(error) = rejected.first() {
@@ -141,92 +130,6 @@ fn read(
     Ok(Samples { camera, markers, imu, climber })
 }
 
-/// The samples of a bag, as far as it is read.
-struct Reading<'a> {
-    rig: &'a Rig,
-    tracker: Tracker,
-    driver: Option<Climber>,
-    camera: Option<CameraModel>,
-    markers: Vec<MarkerObservations>,
-    imu: Vec<ImuSample>,
-    climber: Vec<ClimberSample>,
-    /// Why climber transforms were rejected.
-    rejected: Vec<String>,
-    /// Warnings about the other inputs.
-    counts: Counts,
-}
-
-impl Reading<'_> {
-    fn take(&mut self, fed: Fed) {
-        match fed {
-            Fed::Image(Ok((stamp, image))) => self.tracker.handle(Input::Image(image.view(stamp))),
-            Fed::Image(Err(reason)) => {
-                self.counts.warn("image", || format!("an image is ignored: {reason}"));
-            }
-            Fed::Message(message) => self.message(&message),
-        }
-        while let Some(output) = self.tracker.poll() {
-            match output {
-                Output::Observations(observations) => self.markers.push(observations),
-                Output::Warning(warning) => {
-                    let kind = kind_of("tracker", &warning);
-                    self.counts.warn(&kind, || format!("tracker: {warning}"));
-                }
-            }
-        }
-    }
-
-    fn message(&mut self, message: &BagMessage) {
-        let kind = message.topic.type_name.as_str();
-        if kind == msg::CameraInfo::TYPE_NAME {
-            let Some(info) = decode(message, &mut self.counts) else { return };
-            match convert::camera_model(&info) {
-                Ok(model) => {
-                    self.tracker.handle(Input::Camera(model.clone()));
-                    self.camera = Some(model);
-                }
-                Err(error) => self.counts.warn("camera_info", || error.to_string()),
-            }
-        } else if kind == MarkersMessage::TYPE_NAME {
-            let Some(observed) = decode(message, &mut self.counts) else { return };
-            match convert::marker_observations(&observed) {
-                Ok(observations) => self.markers.push(observations),
-                Err(error) => self
-                    .counts
-                    .warn(topics::MARKERS, || format!("{error}; such messages are ignored")),
-            }
-        } else if kind == msg::Imu::TYPE_NAME {
-            self.imu.extend(decode(message, &mut self.counts).map(|m| convert::imu_sample(&m)));
-        } else if kind == geometry_msgs::msg::TransformStamped::TYPE_NAME {
-            let Some(transform) = decode(message, &mut self.counts) else { return };
-            match convert::climber_sample(&transform, &self.rig.frames) {
-                Ok(sample) => self.climber.push(sample),
-                Err(error) => self.rejected.push(error.to_string()),
-            }
-        } else if let Some(driver) = &mut self.driver
-            && kind == msg::JointState::TYPE_NAME
-        {
-            let Some(joints) = decode::<msg::JointState>(message, &mut self.counts) else { return };
-            let reading = JointReading {
-                stamp: convert::stamp(&joints.header.stamp),
-                names: joints.name,
-                positions: joints.position,
-            };
-            let logged = i64::try_from(message.log_time).unwrap_or(i64::MAX);
-            driver.handle(&reading, Stamp::from_nanos(logged));
-            while let Some(output) = driver.poll() {
-                match output {
-                    climber_driver::Output::Sample(sample) => self.climber.push(sample),
-                    climber_driver::Output::Warning(warning) => {
-                        let kind = format!("climber {}", warning.kind());
-                        self.counts.warn(&kind, || format!("climber: {warning}"));
-                    }
-                }
-            }
-        }
-    }
-}
-
 /// Tracks the markers in the images of a bag, or in its first `limit` images.
 ///
 /// # Errors
@@ -240,14 +143,18 @@ pub fn track_bag(
     names: &TopicNames,
 ) -> Result<Vec<MarkerObservations>> {
     let images = ImageTopic::of(&BagReader::summary(path)?, names)?;
-    let mut feed = Feed::start(path, images, vec![], workers())?;
+    let mut feed = Feed::start(path, images, vec![], decoding_threads())?;
     let mut tracker = Tracker::new(layout.clone(), config.clone());
     tracker.handle(Input::Camera(camera.clone()));
     let mut markers = vec![];
     while let Some(fed) = feed.take()? {
         if let Fed::Image(Ok((stamp, image))) = fed {
             tracker.handle(Input::Image(image.view(stamp)));
-            collect(&mut tracker, &mut markers);
+            while let Some(output) = tracker.poll() {
+                if let Output::Observations(observations) = output {
+                    markers.push(observations);
+                }
+            }
         }
         if limit.is_some_and(|limit| markers.len() >= limit) {
             break;

@@ -35,15 +35,6 @@ impl Setting {
     }
 }
 
-/// Where the result goes.
-#[derive(Clone, Debug, Default)]
-pub struct Destination<'a> {
-    /// A file to write instead of updating the original.
-    pub out: Option<&'a Path>,
-    /// Whether `out` may replace an existing file.
-    pub overwrite: bool,
-}
-
 /// Result of an update.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Update {
@@ -55,17 +46,23 @@ pub struct Update {
     pub changed: Vec<String>,
 }
 
-/// Sets parameters in the text of `file`. Values that are equal already keep their notation; where
-/// nothing changes, nothing is written in place.
+/// Sets parameters in the text of `file`, or writes `out` instead, which may replace an existing
+/// file with `overwrite`. Values that are equal already keep their notation; where nothing changes,
+/// nothing is written in place.
 ///
 /// # Errors
 /// An unreadable file; a place that cannot be edited; a rig file that would become invalid; see
 /// [`files::check_output`] for `out`.
-pub fn update(file: &Path, destination: &Destination<'_>, settings: &[Setting]) -> Result<Update> {
+pub fn update(
+    file: &Path,
+    out: Option<&Path>,
+    overwrite: bool,
+    settings: &[Setting],
+) -> Result<Update> {
     let shown = || file.display().to_string();
     let text = files::read_text(file).with_context(|| format!("{}: not readable", shown()))?;
-    if let Some(out) = destination.out {
-        files::check_output(out, destination.overwrite, &[file])?;
+    if let Some(out) = out {
+        files::check_output(out, overwrite, &[file])?;
     }
     let (mut edited, mut changed) = (text.clone(), vec![]);
     for Setting { node, name, value } in settings {
@@ -81,9 +78,9 @@ pub fn update(file: &Path, destination: &Destination<'_>, settings: &[Setting]) 
             format!("{}: left as it is, for the new values are not usable", shown())
         })?;
     }
-    let (path, backup) = match destination.out {
+    let (path, backup) = match out {
         Some(out) => {
-            files::write(out, edited.as_bytes(), destination.overwrite)?;
+            files::write(out, edited.as_bytes(), overwrite)?;
             (out.to_owned(), None)
         }
         None if changed.is_empty() => (file.to_owned(), None),
@@ -164,7 +161,7 @@ mod tests {
         let set = |value: f64| {
             let settings =
                 [Setting::rig("a", list(&[1.0, value])), Setting::rig("b", number(3.0, 4))];
-            update(&file, &Destination::default(), &settings).unwrap()
+            update(&file, None, false, &settings).unwrap()
         };
         let update = set(2.0);
         assert_eq!((update.backup, update.changed), (None, vec![]));
@@ -187,18 +184,17 @@ mod tests {
         let (file, out) = (folder.path().join("rig.yaml"), folder.path().join("new.yaml"));
         let rig = include_str!("../../launch_config/config/rig.yaml");
         fs::write(&file, rig).unwrap();
-        let to = |overwrite| Destination { out: Some(&out), overwrite };
         let size = [Setting::rig("markers.size", number(0.08, 4))];
-        assert_eq!(update(&file, &to(false), &size).unwrap().backup, None);
+        let to_out = |overwrite| update(&file, Some(&out), overwrite, &size);
+        assert_eq!(to_out(false).unwrap().backup, None);
         let written = fs::read_to_string(&out).unwrap();
         assert_eq!(written, rig.replace("size: 0.076  ", "size: 0.08  "));
-        let error = update(&file, &to(false), &size).unwrap_err().to_string();
+        let error = to_out(false).unwrap_err().to_string();
         assert!(error.contains("--overwrite"), "{error}");
-        update(&file, &to(true), &size).unwrap();
-        let own = Destination { out: Some(&file), overwrite: true };
-        assert!(update(&file, &own, &size).is_err(), "an input");
+        to_out(true).unwrap();
+        assert!(update(&file, Some(&file), true, &size).is_err(), "an input");
         let bad = [Setting::rig("markers.size", number(-1.0, 4))];
-        let error = format!("{:#}", update(&file, &Destination::default(), &bad).unwrap_err());
+        let error = format!("{:#}", update(&file, None, false, &bad).unwrap_err());
         assert!(error.contains("left as it is") && error.contains("markers.size"), "{error}");
         assert_eq!(fs::read_to_string(&file).unwrap(), rig);
         assert_eq!(number(0.000_871_234, 3), ParameterValue::Double(0.000871));

@@ -2,57 +2,44 @@
 //! measured with a tape to a rig file that is as good as the true one.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, clippy::disallowed_methods)]
 
+mod place;
 mod simulated;
 
 use nalgebra::Vector3;
+use place::{Place, Ran};
 use rig_model::{MarkerColor, Rig};
+use rig_simulator::RIG_YAML;
 use ros_parameters::{ParameterFile, ParameterValue};
 use simulated::{Simulated, resting};
-use std::{
-    fmt::Write as _,
-    fs,
-    io::Write as _,
-    path::Path,
-    process::{Command, Output, Stdio},
-};
-use tempfile::TempDir;
+use std::{fmt::Write as _, fs, io::Write as _, process::Stdio};
 use test_support::process::in_domain;
 use volant::{
     evaluate::{EvaluateOptions, evaluate},
     replay::TopicNames,
 };
 
-/// Runs `volant bringup` with the answers of an operator.
-fn bringup(arguments: &[&str], answers: &str) -> (Output, String) {
+/// Runs `volant bringup` with the answers of an operator; returns its status and what it prints.
+fn bringup(place: &Place, arguments: &str, answers: &str) -> (Option<i32>, String) {
     let mut child = in_domain(92, env!("CARGO_BIN_EXE_volant"))
         .arg("bringup")
-        .args(arguments)
+        .args(arguments.split_whitespace())
+        .current_dir(place.folder())
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
     child.stdin.take().unwrap().write_all(answers.as_bytes()).unwrap();
-    let output = child.wait_with_output().unwrap();
-    let printed = [&output.stdout, &output.stderr].map(|b| String::from_utf8_lossy(b).into_owned());
-    (output, printed.concat())
+    let Ran { status, out, err } = child.wait_with_output().unwrap().into();
+    (status, out + &err)
 }
 
 /// Position (mm) and rotation (deg) RMSE of a replay with a rig file.
-fn rmse(bag: &Path, rig: &Path, truth: &Path, out: &Path) -> [f64; 2] {
-    let output = Command::new(env!("CARGO_BIN_EXE_volant"))
-        .arg("replay")
-        .arg(bag)
-        .arg("--rig")
-        .arg(rig)
-        .arg("--out")
-        .arg(out)
-        .output()
-        .unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+fn rmse(place: &Place, rig: &str) -> [f64; 2] {
+    place.done(&format!("replay work.mcap --rig {rig} --out {rig}.mcap"));
     let options = EvaluateOptions {
-        estimates: out.to_owned(),
-        truth: truth.to_owned(),
+        estimates: place.path(&format!("{rig}.mcap")),
+        truth: place.path("truth.mcap"),
         skip: 3.0,
         names: TopicNames::default(),
     };
@@ -68,17 +55,15 @@ fn tape(v: Vector3<f64>) -> String {
 
 #[test]
 fn an_empty_rig_file_becomes_as_good_as_the_true_one() {
-    let folder = TempDir::new().unwrap();
-    let file = |name: &str| folder.path().join(name);
-    let shown = |name: &str| file(name).display().to_string();
+    let place = Place::new();
     let simulated = Simulated::new(1);
-    simulated.write_rest(&file("rest.mcap"));
-    simulated.write_jog(&file("jog.mcap"));
-    simulated.write(&file("swing.mcap"), &simulated.motion(60.0, true), false);
+    simulated.write_rest(&place.path("rest.mcap"));
+    simulated.write_jog(&place.path("jog.mcap"));
+    simulated.write(&place.path("swing.mcap"), &simulated.motion(60.0, true), false);
     let other = Simulated::new(101);
     let motion = other.motion(20.0, false);
-    other.write(&file("work.mcap"), &motion, false);
-    other.write_truth(&file("truth.mcap"), &motion);
+    other.write(&place.path("work.mcap"), &motion, false);
+    other.write_truth(&place.path("truth.mcap"), &motion);
 
     // The operator: markers to 0.1 mm, camera and IMU to some millimeters and degrees.
     let rig = &simulated.rig;
@@ -90,32 +75,30 @@ fn an_empty_rig_file_becomes_as_good_as_the_true_one() {
     let imu = rig.imu.volant_from_imu.translation.vector + Vector3::new(0.003, -0.002, 0.003);
     writeln!(answers, "{}\n0.7071 0.7071 0 0\n{}\n0 0 0 1", tape(camera), tape(imu)).unwrap();
     // IMU; then a pause.
-    writeln!(answers, "\n\n{}", shown("rest.mcap")).unwrap();
-    let rig_file = shown("rig.yaml");
-    let (output, printed) = bringup(&["--rig", &rig_file], &answers);
-    assert!(output.status.success(), "a pause without a failed step: {printed}");
+    answers += "\n\nrest.mcap\n";
+    let (status, printed) = bringup(&place, "--rig rig.yaml", &answers);
+    assert_eq!(status, Some(0), "a pause without a failed step: {printed}");
     assert!(printed.contains("3/8 camera") && printed.contains("paused"), "{printed}");
     assert!(!printed.contains("FAIL"), "{printed}");
 
     // It goes on with the camera. The lens is calibrated.
-    let mut answers = format!("\n{}\n\n\n{}\n", shown("swing.mcap"), shown("swing.mcap"));
+    let mut answers = String::from("\nswing.mcap\n\n\nswing.mcap\n");
     let t = resting().translation;
-    writeln!(answers, "\n{} {} {}\n{}", t.x, t.y, t.z, shown("jog.mcap")).unwrap();
+    writeln!(answers, "\n{} {} {}\njog.mcap", t.x, t.y, t.z).unwrap();
     // Mounting, offsets, acceptance.
-    writeln!(answers, "\n{}\n\n\n{}", shown("swing.mcap"), shown("work.mcap")).unwrap();
-    let page = shown("page.html");
-    let (output, printed) = bringup(&["--rig", &rig_file, "--report", &page], &answers);
+    answers += "\nswing.mcap\n\n\nwork.mcap\n";
+    let (status, printed) = bringup(&place, "--rig rig.yaml --report page.html", &answers);
     eprintln!("{printed}");
-    assert!(output.status.success(), "{printed}");
+    assert_eq!(status, Some(0), "{printed}");
     assert!(!printed.contains("1/8 markers"), "resumed: {printed}");
     assert!(!printed.contains("TimeOffset") && !printed.contains("(1 times)"), "{printed}");
     for step in ["camera", "intrinsics", "encoders", "mounting", "offsets", "acceptance"] {
         assert!(printed.contains(&format!("{step:<12}PASS")), "{step}: {printed}");
     }
-    let html = fs::read_to_string(&page).unwrap();
+    let html = place.text("page.html");
     assert!(html.contains("Bring-up: accepted") && html.contains("joint bridge"));
-    assert!(fs::read(file("rig.yaml.bringup/markers.pdf")).unwrap().starts_with(b"%PDF"));
-    assert!(file("rig.yaml.bringup/allan.svg").is_file());
+    assert!(place.read("rig.yaml.bringup/markers.pdf").starts_with(b"%PDF"));
+    assert!(place.path("rig.yaml.bringup/allan.svg").is_file());
 
     // The true rig file, with the true encoders.
     let e = &simulated.encoders;
@@ -125,54 +108,48 @@ fn an_empty_rig_file_becomes_as_good_as_the_true_one() {
         format!("{{{}}}", pairs.join(", "))
     };
     let truth = format!(
-        "{}/climber_driver:\n  ros__parameters:\n    joints: {}\n    scale: {}\n    zero: {}\n    \
-         height: {}\n",
-        rig_simulator::RIG_YAML,
+        "{RIG_YAML}/climber_driver:\n  ros__parameters:\n    joints: {}\n    scale: {}\n    \
+         zero: {}\n    height: {}\n",
         map(e.names.map(str::to_owned)),
         map(e.scale.map(|s| s.to_string())),
         map(e.zero.map(|z| format!("{z:?}"))),
         simulated.height
     );
-    fs::write(file("true.yaml"), truth).unwrap();
-    let [ours, best] = ["rig.yaml", "true.yaml"].map(|rig| {
-        rmse(&file("work.mcap"), &file(rig), &file("truth.mcap"), &file(&format!("{rig}.mcap")))
-    });
+    place.write("true.yaml", truth);
+    let [ours, best] = ["rig.yaml", "true.yaml"].map(|rig| rmse(&place, rig));
     eprintln!("position mm, rotation deg: {ours:?}; with the true rig file {best:?}");
     for (ours, best) in ours.into_iter().zip(best) {
         assert!(ours <= 1.3 * best, "{ours} {best}");
     }
-    let found = Rig::from_yaml(&fs::read_to_string(file("rig.yaml")).unwrap()).unwrap();
+    let found = Rig::from_yaml(&place.text("rig.yaml")).unwrap();
     assert!((found.imu.gyroscope_noise_density / 0.000_872_66 - 1.0).abs() < 0.05);
 
     // A single step, which fails: the platform was not on the floor.
-    let answers = format!("\n0 0 0.1\n{}\n\n", shown("swing.mcap"));
-    let before = fs::read(&rig_file).unwrap();
-    let (output, printed) = bringup(&["encoders", "--rig", &rig_file], &answers);
-    assert_eq!(output.status.code(), Some(1), "{printed}");
+    let before = place.read("rig.yaml");
+    let answers = "\n0 0 0.1\nswing.mcap\n\n";
+    let (status, printed) = bringup(&place, "encoders --rig rig.yaml", answers);
+    assert_eq!(status, Some(1), "{printed}");
     assert!(printed.contains("FAIL encoders") && printed.contains("onto the floor"), "{printed}");
     assert!(printed.contains("not accepted: encoders failed"), "{printed}");
-    assert_eq!(fs::read(&rig_file).unwrap(), before);
+    assert_eq!(place.read("rig.yaml"), before);
 }
 
 #[test]
 fn only_offered_answers_count_and_a_pause_writes_the_report() {
-    let folder = TempDir::new().unwrap();
-    let shown = |name: &str| folder.path().join(name).display().to_string();
-    let (rig, page) = (shown("rig.yaml"), shown("page.html"));
-    let arguments = ["--rig", &rig, "--report", &page];
+    let place = Place::new();
+    let arguments = "--rig rig.yaml --report page.html";
     // `abc` begins no step; `s` skips the markers, and the IMU has no recording.
-    let (output, printed) = bringup(&arguments, "abc\ns\nx\nq\n");
-    assert!(output.status.success(), "nothing has failed: {printed}");
+    let (status, printed) = bringup(&place, arguments, "abc\ns\nx\nq\n");
+    assert_eq!(status, Some(0), "nothing has failed: {printed}");
     assert!(printed.contains("`abc` is not one of the answers") && !printed.contains("side"));
     assert!(printed.contains("2/8 imu") && !printed.contains("Connect the IMU"), "{printed}");
-    assert!(fs::read_to_string(&page).unwrap().contains("1. markers: skipped"));
+    assert!(place.text("page.html").contains("1. markers: skipped"));
 
     // The skipped step is offered again, and the report of the pause is replaced.
-    fs::write(shown("not_a_bag.mcap"), "text").unwrap();
-    let bag = shown("not_a_bag.mcap");
-    let answers = format!("s\n\nno\n\n60\nlive 2m\n{bag}\nabc\nq\n");
-    let (output, printed) = bringup(&arguments, &answers);
-    assert_eq!(output.status.code(), Some(1), "a step has failed: {printed}");
+    place.write("not_a_bag.mcap", "text");
+    let answers = "s\n\nno\n\n60\nlive 2m\nnot_a_bag.mcap\nabc\nq\n";
+    let (status, printed) = bringup(&place, arguments, answers);
+    assert_eq!(status, Some(1), "a step has failed: {printed}");
     for needle in [
         "1/8 markers",
         "`no` is not one of the answers",
@@ -188,26 +165,25 @@ fn only_offered_answers_count_and_a_pause_writes_the_report() {
     for absent in ["allan.svg", "3/8 camera", "rest.mcap"] {
         assert!(!printed.contains(absent), "{absent} in\n{printed}");
     }
-    assert!(fs::read_to_string(&page).unwrap().contains("2. imu: FAIL"));
+    assert!(place.text("page.html").contains("2. imu: FAIL"));
 
     // The page is no other file of the bring-up, not even one that does not exist yet.
-    let new = shown("new.yaml");
-    for page in [&new, &format!("{new}.bringup.json")] {
-        let (output, printed) = bringup(&["--rig", &new, "--report", page], "q\n");
-        assert_eq!(output.status.code(), Some(1), "{printed}");
+    for page in ["new.yaml", "new.yaml.bringup.json"] {
+        let arguments = format!("--rig new.yaml --report {page}");
+        let (status, printed) = bringup(&place, &arguments, "q\n");
+        assert_eq!(status, Some(1), "{printed}");
         assert!(printed.contains("two outputs have this name"), "{printed}");
-        assert!(!Path::new(page).exists());
+        assert!(!place.path(page).exists());
     }
 }
 
 #[test]
 fn a_topic_that_nobody_publishes_is_named_within_seconds_and_a_former_recording_stays() {
-    let folder = TempDir::new().unwrap();
-    let rig = folder.path().join("rig.yaml").display().to_string();
-    let recording = folder.path().join("rig.yaml.bringup/rest.mcap");
+    let place = Place::new();
+    let recording = place.path("rig.yaml.bringup/rest.mcap");
     let record = || {
         let begun = std::time::Instant::now();
-        let (_, printed) = bringup(&["imu", "--rig", &rig], "\n\nlive 100s\n\n");
+        let (_, printed) = bringup(&place, "imu --rig rig.yaml", "\n\nlive 100s\n\n");
         assert!(begun.elapsed().as_secs() < 30, "{printed}");
         assert!(printed.contains("recording 100 s"), "{printed}");
         assert!(printed.contains("nobody publishes /volant/imu/data"), "{printed}");
@@ -224,13 +200,12 @@ fn a_topic_that_nobody_publishes_is_named_within_seconds_and_a_former_recording_
 
 #[test]
 fn lengths_in_meters_are_rejected_at_the_prompts_for_millimeters() {
-    let folder = TempDir::new().unwrap();
-    let rig = folder.path().join("rig.yaml");
+    let place = Place::new();
     let centers =
         "0.15 0.15 0.02\n15O 150 150 20\n150 150 20\n-150 150 20\n-150 -150 20\n150 -150 20\n";
     let mountings = "0 0 -100\n0 0 0 0\n0.7071 0.7071 0 0\n0 0 0\n0 0 0 1\n";
     let answers = format!("\n0.076\n76000\n80\n{centers}{mountings}");
-    let (_, printed) = bringup(&["markers", "--rig", &rig.display().to_string()], &answers);
+    let (_, printed) = bringup(&place, "markers --rig rig.yaml", &answers);
     for needle in [
         "the side is 0.076 mm: give it in millimeters",
         "the side is 76000 mm",
@@ -241,89 +216,82 @@ fn lengths_in_meters_are_rejected_at_the_prompts_for_millimeters() {
     ] {
         assert!(printed.contains(needle), "{needle} in\n{printed}");
     }
-    let rig = Rig::from_yaml(&fs::read_to_string(&rig).unwrap()).unwrap();
+    let rig = Rig::from_yaml(&place.text("rig.yaml")).unwrap();
     assert_eq!((rig.markers.side, rig.markers.centers[MarkerColor::Red].x), (0.08, 0.15));
 }
 
 #[test]
 fn a_misspelled_key_is_named_and_nothing_is_written_before_an_answer() {
-    let folder = TempDir::new().unwrap();
-    let rig = folder.path().join("v.yaml");
-    let shown = rig.display().to_string();
-    let here = || fs::read_dir(folder.path()).unwrap().count();
-    let text = rig_simulator::RIG_YAML.replacen("position:", "postion:", 1);
-    fs::write(&rig, &text).unwrap();
-    let (output, printed) = bringup(&["--rig", &shown], "q\n");
-    assert_eq!(output.status.code(), Some(1), "{printed}");
+    let text = RIG_YAML.replacen("position:", "postion:", 1);
+    let place = Place::with_rig(&text);
+    let here = || fs::read_dir(place.folder()).unwrap().count();
+    let (status, printed) = bringup(&place, "--rig rig.yaml", "q\n");
+    assert_eq!(status, Some(1), "{printed}");
     let named = "the parameter `camera.postion` is not known (did you mean `camera.position`?)";
-    assert!(printed.contains("v.yaml: ") && printed.contains(named), "{printed}");
-    assert_eq!((fs::read_to_string(&rig).unwrap(), here()), (text, 1));
+    assert!(printed.contains("rig.yaml: ") && printed.contains(named), "{printed}");
+    assert_eq!((place.text("rig.yaml"), here()), (text, 1));
     // A file without the key is completed at the first answer only.
     let text = "/**:\n  ros__parameters:\n    markers: {size: 0.08}\n";
-    fs::write(&rig, text).unwrap();
-    let (_, printed) = bringup(&["--rig", &shown], "q\n");
-    assert_eq!((fs::read_to_string(&rig).unwrap().as_str(), here()), (text, 1), "{printed}");
-    let (_, printed) = bringup(&["--rig", &shown], "\nq\n");
+    place.write("rig.yaml", text);
+    let (_, printed) = bringup(&place, "--rig rig.yaml", "q\n");
+    assert_eq!((place.text("rig.yaml").as_str(), here()), (text, 1), "{printed}");
+    let (_, printed) = bringup(&place, "--rig rig.yaml", "\nq\n");
     assert!(printed.contains("side [80]"), "{printed}");
-    let rig = Rig::from_yaml(&fs::read_to_string(&rig).unwrap()).unwrap();
+    let rig = Rig::from_yaml(&place.text("rig.yaml")).unwrap();
     assert_eq!(rig.markers.side, 0.08);
 }
 
-/// Writes a rig file and the state of a bring-up.
-fn bring_up_of(folder: &TempDir, rig: &str, state: &str) -> String {
-    let path = folder.path().join("rig.yaml").display().to_string();
-    fs::write(&path, rig).unwrap();
-    fs::write(format!("{path}.bringup.json"), state).unwrap();
-    path
+/// A folder with a rig file and the state of a bring-up.
+fn bring_up_of(rig: &str, state: &str) -> Place {
+    let place = Place::with_rig(rig);
+    place.write("rig.yaml.bringup.json", state);
+    place
 }
 
 #[test]
 fn a_changed_rig_file_puts_the_later_steps_out_of_date() {
-    let folder = TempDir::new().unwrap();
     let done = r#"{"outcome": "done", "items": [], "wrote": []}"#;
     let steps = ["markers", "imu", "acceptance"].map(|step| format!("\"{step}\": {done}"));
     let state = format!(r#"{{"steps": {{{}}}, "recordings": {{}}}}"#, steps.join(", "));
-    let rig = bring_up_of(&folder, rig_simulator::RIG_YAML, &state);
-    let page = folder.path().join("page.html").display().to_string();
-    let arguments = ["markers", "--rig", &rig, "--report", &page];
-    let accepted = || fs::read_to_string(&page).unwrap().contains("Bring-up: accepted");
+    let place = bring_up_of(RIG_YAML, &state);
+    let arguments = "markers --rig rig.yaml --report page.html";
+    let accepted = || place.text("page.html").contains("Bring-up: accepted");
     // Nothing changes.
-    let (output, printed) = bringup(&arguments, "s\n");
-    assert!(output.status.success() && printed.contains("acceptance  PASS"), "{printed}");
+    let (status, printed) = bringup(&place, arguments, "s\n");
+    assert!(status == Some(0) && printed.contains("acceptance  PASS"), "{printed}");
     assert!(accepted());
     // The side of the squares changes, and the step is paused after it.
-    let (_, printed) = bringup(&arguments, "\n81\nq\n");
+    let (_, printed) = bringup(&place, arguments, "\n81\nq\n");
     assert!(printed.contains("paused") && !accepted(), "{printed}");
     // The skipped steps are offered again.
-    let (_, printed) = bringup(&["--rig", &rig], "s\nq\n");
+    let (_, printed) = bringup(&place, "--rig rig.yaml", "s\nq\n");
     assert!(printed.contains("1/8 markers") && printed.contains("2/8 imu"), "{printed}");
-    let (_, printed) = bringup(&["offsets", "--rig", &rig], "s\n");
+    let (_, printed) = bringup(&place, "offsets --rig rig.yaml", "s\n");
     assert!(printed.contains("acceptance  out of date"), "{printed}");
 }
 
 #[test]
 fn the_climbers_offset_is_that_of_the_last_bring_up() {
-    let folder = TempDir::new().unwrap();
     let state = |apart: f64| {
         format!(r#"{{"steps": {{}}, "recordings": {{}}, "clocks": [[0, 0.1], [{apart}, 0.1]]}}"#)
     };
-    let offset = |path: &str, node: &str| {
-        let parameters = ParameterFile::parse(&fs::read_to_string(path).unwrap()).unwrap();
+    let offset = |place: &Place, node: &str| {
+        let parameters = ParameterFile::parse(&place.text("rig.yaml")).unwrap();
         parameters.for_node(node).get("clock.climber_offset").and_then(ParameterValue::as_f64)
     };
     let former = "/pose_fusion: {ros__parameters: {clock: {climber_offset: 0.03}}}\n";
-    let text = format!("{}{former}", rig_simulator::RIG_YAML);
-    let rig = bring_up_of(&folder, &text, &state(0.5));
-    let (_, printed) = bringup(&["offsets", "--rig", &rig], "\n");
-    assert!(printed.contains("offsets     PASS"), "{printed}");
-    assert_eq!(offset(&rig, "/pose_fusion"), Some(0.0), "{printed}");
-    for (apart, expected) in [(0.5, None), (30.0, Some(0.03))] {
-        let rig = bring_up_of(&folder, rig_simulator::RIG_YAML, &state(apart));
-        let (_, printed) = bringup(&["offsets", "--rig", &rig], "\n");
-        assert!(printed.contains("offsets     PASS"), "{printed}");
+    let configured = format!("{RIG_YAML}{former}");
+    for (text, apart, expected, nodes) in [
+        (configured.as_str(), 0.5, Some(0.0), &["/pose_fusion"][..]),
         // In any namespace.
-        for node in ["/pose_fusion", "/rig1/pose_fusion"] {
-            assert_eq!(offset(&rig, node), expected, "{printed}");
+        (RIG_YAML, 0.5, None, &["/pose_fusion", "/rig1/pose_fusion"]),
+        (RIG_YAML, 30.0, Some(0.03), &["/pose_fusion", "/rig1/pose_fusion"]),
+    ] {
+        let place = bring_up_of(text, &state(apart));
+        let (_, printed) = bringup(&place, "offsets --rig rig.yaml", "\n");
+        assert!(printed.contains("offsets     PASS"), "{printed}");
+        for &node in nodes {
+            assert_eq!(offset(&place, node), expected, "{printed}");
         }
     }
 }
@@ -331,14 +299,13 @@ fn the_climbers_offset_is_that_of_the_last_bring_up() {
 /// A recording of its own is made again, by whatever name the rig file is given.
 #[test]
 fn an_own_recording_is_no_default() {
-    let folder = TempDir::new().unwrap();
-    let own = folder.path().join("rig.yaml.bringup/rest.mcap");
+    let place = Place::with_rig(RIG_YAML);
+    let own = place.path("rig.yaml.bringup/rest.mcap");
     fs::create_dir_all(own.parent().unwrap()).unwrap();
-    fs::create_dir(folder.path().join("other")).unwrap();
+    fs::create_dir(place.path("other")).unwrap();
     fs::write(&own, "").unwrap();
     let state = format!(r#"{{"steps": {{}}, "recordings": {{"rest": {own:?}}}}}"#);
-    bring_up_of(&folder, rig_simulator::RIG_YAML, &state);
-    let rig = folder.path().join("other/../rig.yaml").display().to_string();
-    let (_, printed) = bringup(&["imu", "--rig", &rig], "\n\n");
+    place.write("rig.yaml.bringup.json", state);
+    let (_, printed) = bringup(&place, "imu --rig other/../rig.yaml", "\n\n");
     assert!(printed.contains("[live 60]"), "{printed}");
 }

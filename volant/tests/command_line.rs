@@ -1,14 +1,12 @@
 //! Exit status of `volant`, and its errors: one line on standard error with given words.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
 
+mod place;
+
 use bag::{BagReader, BagWriter, Compression, Qos, Topic, WriteOptions};
+use place::{Place, Ran};
 use rig_model::topics;
-use std::{
-    fs,
-    path::{Path, PathBuf},
-    process::{Command, Output},
-};
-use tempfile::TempDir;
+use std::{fs, path::Path, process::Command};
 use volant_msgs::{
     cdr,
     geometry_msgs::msg::TransformStamped,
@@ -21,51 +19,15 @@ const RIG: &str = include_str!("../../launch_config/config/rig.yaml");
 /// What the commands replay, and where to.
 const REPLAY: &str = "replay in.mcap --rig rig.yaml --out out.mcap";
 
-/// A folder in which the commands run, with a rig file.
-struct Place(TempDir);
+/// A folder with a rig file, and a bag `in.mcap` with a message on each topic.
+fn with_bag() -> Place {
+    let place = Place::with_rig(RIG);
+    bag(&place.path("in.mcap"), "");
+    place
+}
 
-impl Place {
-    fn new() -> Self {
-        let place = Self(TempDir::new().unwrap());
-        place.file("rig.yaml", RIG.as_bytes());
-        place
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.0.path().join(name)
-    }
-
-    fn file(&self, name: &str, bytes: &[u8]) {
-        fs::write(self.path(name), bytes).unwrap();
-    }
-
-    /// With a bag `in.mcap` that has a message on each topic.
-    fn with_bag() -> Self {
-        let place = Self::new();
-        bag(&place.path("in.mcap"), "");
-        place
-    }
-
-    fn volant(&self, arguments: &str) -> Output {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_volant"));
-        command.args(arguments.split_whitespace()).current_dir(self.0.path()).output().unwrap()
-    }
-
-    /// Asserts exit status 1 and one line with these words.
-    fn fails(&self, arguments: &str, words: &[&str]) {
-        let output = self.volant(arguments);
-        let printed = String::from_utf8_lossy(&output.stderr);
-        assert_eq!(output.status.code(), Some(1), "{arguments}: {printed}");
-        assert_eq!(printed.trim_end().lines().count(), 1, "{printed}");
-        for word in words {
-            assert!(printed.contains(word), "`{word}` is not in: {printed}");
-        }
-        assert!(!printed.contains("panicked"), "{printed}");
-    }
-
-    fn replay_fails(&self, bag: &str, words: &[&str]) {
-        self.fails(&REPLAY.replace("in.mcap", bag), words);
-    }
+fn replay_fails(place: &Place, bag: &str, words: &[&str]) {
+    place.fails(&REPLAY.replace("in.mcap", bag), words);
 }
 
 /// Writes a bag with a message on each topic whose name does not end with `without`.
@@ -101,7 +63,7 @@ fn bag(path: &Path, without: &str) {
 
 #[test]
 fn a_wrong_command_line_is_2() {
-    let place = Place::new();
+    let place = Place::with_rig(RIG);
     for arguments in [
         "",
         "replay",
@@ -123,18 +85,17 @@ fn a_wrong_command_line_is_2() {
         "calibrate climber x --rig r --platform 0,O,0,0.12",
         "calibrate climber x --rig r --params-file p --camera --out o",
     ] {
-        let output = place.volant(arguments);
-        assert_eq!(output.status.code(), Some(2), "{arguments}");
-        assert!(!output.stderr.is_empty());
+        let ran = place.volant(arguments);
+        assert_eq!(ran.status, Some(2), "{arguments}");
+        assert!(!ran.err.is_empty());
     }
-    assert_eq!(place.volant("--help").status.code(), Some(0));
+    place.done("--help");
 }
 
 #[test]
 fn no_letter_stands_for_two_options() {
     for command in ["replay", "evaluate", "record", "play"] {
-        let output = Place::new().volant(&format!("{command} --help"));
-        let help = String::from_utf8_lossy(&output.stdout).into_owned();
+        let help = Place::with_rig(RIG).done(&format!("{command} --help"));
         let mut letters: Vec<char> = help
             .lines()
             .filter_map(|line| line.trim_start().strip_prefix('-')?.chars().next())
@@ -150,14 +111,14 @@ fn no_letter_stands_for_two_options() {
 
 #[test]
 fn bags_that_cannot_be_replayed() {
-    let place = Place::new();
-    place.file("empty.mcap", b"");
-    place.file("foreign.mcap", &[7; 4096]);
+    let place = Place::with_rig(RIG);
+    place.write("empty.mcap", b"");
+    place.write("foreign.mcap", [7; 4096]);
     fs::create_dir(place.path("folder")).unwrap();
-    place.replay_fails("gone.mcap", &["gone.mcap", "no such file", "give an .mcap"]);
-    place.replay_fails("empty.mcap", &["empty.mcap", "empty"]);
-    place.replay_fails("foreign.mcap", &["foreign.mcap", "not an MCAP file"]);
-    place.replay_fails("folder", &["metadata.yaml", "missing"]);
+    replay_fails(&place, "gone.mcap", &["gone.mcap", "no such file", "give an .mcap"]);
+    replay_fails(&place, "empty.mcap", &["empty.mcap", "empty"]);
+    replay_fails(&place, "foreign.mcap", &["foreign.mcap", "not an MCAP file"]);
+    replay_fails(&place, "folder", &["metadata.yaml", "missing"]);
     for (topic, name) in [
         ("compressed", "/climber/camera/image_raw/compressed (sensor_msgs/msg/CompressedImage)"),
         ("camera_info", "/climber/camera/camera_info (sensor_msgs/msg/CameraInfo)"),
@@ -166,11 +127,12 @@ fn bags_that_cannot_be_replayed() {
     ] {
         let without = format!("without_{topic}.mcap");
         bag(&place.path(&without), topic);
-        place.replay_fails(&without, &["no message on", name, "; record "]);
+        replay_fails(&place, &without, &["no message on", name, "; record "]);
     }
     // All topics, with unusable messages.
     bag(&place.path("useless.mcap"), "");
-    place.replay_fails(
+    replay_fails(
+        &place,
         "useless.mcap",
         &[
             "the filter never started: camera_info: ",
@@ -185,7 +147,8 @@ fn bags_that_cannot_be_replayed() {
         .add_topic(Topic::of::<CompressedImage>(topics::absolute::COMPRESSED_IMAGE, &Qos::SENSOR));
     writer.write_message(topic, 1, &CompressedImage::default()).unwrap();
     writer.finish().unwrap();
-    place.replay_fails(
+    replay_fails(
+        &place,
         "other.mcap",
         &["/volant/imu/data is std_msgs/msg/String", "expected sensor_msgs/msg/Imu"],
     );
@@ -196,7 +159,7 @@ fn bags_that_cannot_be_replayed() {
 
 #[test]
 fn a_rig_file_that_is_wrong_is_named_with_its_key() {
-    let place = Place::with_bag();
+    let place = with_bag();
     assert!(RIG.contains("size:"));
     for (text, words) in [
         (RIG.replace("size:", "sise:"), ["markers.sise", "markers.size"]),
@@ -204,7 +167,7 @@ fn a_rig_file_that_is_wrong_is_named_with_its_key() {
         ("{".to_owned(), ["rig.yaml", "not a usable rig file"]),
         (String::new(), ["rig.yaml", "not a usable rig file"]),
     ] {
-        place.file("rig.yaml", text.as_bytes());
+        place.write("rig.yaml", text);
         place.fails(REPLAY, &words);
     }
     fs::remove_file(place.path("rig.yaml")).unwrap();
@@ -213,7 +176,7 @@ fn a_rig_file_that_is_wrong_is_named_with_its_key() {
 
 #[test]
 fn a_parameter_file_that_is_wrong_is_named_with_its_parameter() {
-    let place = Place::with_bag();
+    let place = with_bag();
     let replay = format!("{REPLAY} --params-file params.yaml");
     place.fails(&replay, &["params.yaml"]);
     for (node, line, words) in [
@@ -237,71 +200,58 @@ fn a_parameter_file_that_is_wrong_is_named_with_its_parameter() {
         ("marker_tracker", "paper: {threshold: 75}", ["`paper.threshold` is 75", "0.05 and 0.99"]),
     ] {
         let text = format!("{node}:\n  ros__parameters:\n    {line}\n");
-        place.file("params.yaml", text.as_bytes());
+        place.write("params.yaml", text);
         place.fails(&replay, &[&words[..], &["params"]].concat());
     }
 }
 
 #[test]
 fn an_output_in_a_missing_folder() {
-    Place::with_bag().fails(&REPLAY.replace("out.mcap", "no/such/folder/out.mcap"), &["out.mcap"]);
+    with_bag().fails(&REPLAY.replace("out.mcap", "no/such/folder/out.mcap"), &["out.mcap"]);
 }
 
 #[test]
 fn evaluations_without_truth_or_estimates() {
-    let place = Place::with_bag();
+    let place = with_bag();
     place.fails("evaluate in.mcap --truth in.mcap", &[topics::GROUND_TRUTH, "--truth"]);
     place.fails("evaluate in.mcap --truth gone.mcap", &["gone.mcap", "no such file"]);
 }
 
 #[test]
 fn a_damaged_bag_is_recovered() {
-    let place = Place::with_bag();
-    let cut = place.path("cut.mcap");
-    let bytes = fs::read(place.path("in.mcap")).unwrap();
+    let place = with_bag();
+    let bytes = place.read("in.mcap");
     // Without its closing records: all messages are there, but rosbag2 would not open it.
-    fs::write(&cut, &bytes[..bytes.len() - 100]).unwrap();
-    let info = place.volant("bag info cut.mcap");
-    assert!(String::from_utf8_lossy(&info.stdout).contains("volant bag recover"));
-    let recover = |to: &str| {
-        let output = place.volant(&format!("bag recover cut.mcap --out {to}"));
-        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
-    };
-    let (status, printed) = recover("recovered.mcap");
-    assert_eq!(status, Some(0), "{printed}");
+    place.write("cut.mcap", &bytes[..bytes.len() - 100]);
+    assert!(place.done("bag info cut.mcap").contains("volant bag recover"));
+    place.done("bag recover cut.mcap --out recovered.mcap");
     let [before, after] =
         ["in.mcap", "recovered.mcap"].map(|name| BagReader::summary(&place.path(name)).unwrap());
     assert_eq!(before.topics, after.topics);
     assert!(after.complete);
     // Cut within the messages: the loss is printed.
-    fs::write(&cut, &bytes[..bytes.len() * 3 / 10]).unwrap();
-    let (status, printed) = recover("part.mcap");
-    assert_eq!(status, Some(0), "{printed}");
+    place.write("cut.mcap", &bytes[..bytes.len() * 3 / 10]);
+    let printed = place.done("bag recover cut.mcap --out part.mcap");
     assert!(printed.contains("cut.mcap: the file is cut off"), "{printed}");
     // Cut before the first message.
-    fs::write(&cut, &bytes[..40]).unwrap();
-    let (status, printed) = recover("nothing.mcap");
-    assert_eq!(status, Some(1));
+    place.write("cut.mcap", &bytes[..40]);
+    let printed = place.failed("bag recover cut.mcap --out nothing.mcap");
     assert!(printed.contains("no readable message"), "{printed}");
-    let output = place.volant("bag info recovered.mcap");
-    let printed = String::from_utf8_lossy(&output.stdout);
+    let printed = place.done("bag info recovered.mcap");
     assert!(
-        output.status.success()
-            && printed.contains(topics::absolute::IMU)
-            && printed.contains("messages  4"),
+        printed.contains(topics::absolute::IMU) && printed.contains("messages  4"),
         "{printed}"
     );
     // Of a folder every readable file is used, whatever its metadata says; the others are named.
     fs::create_dir(place.path("folder")).unwrap();
     fs::copy(place.path("in.mcap"), place.path("folder/run_0.mcap")).unwrap();
-    place.file("folder/run_1.mcap", b"");
+    place.write("folder/run_1.mcap", b"");
     let metadata = "rosbag2_bagfile_information: {storage_identifier: mcap, relative_file_paths: \
                     [run_1.mcap, gone.mcap]}";
     for (out, metadata) in [("a.mcap", "{"), ("b.mcap", metadata)] {
-        place.file("folder/metadata.yaml", metadata.as_bytes());
-        let output = place.volant(&format!("bag recover folder --out {out}"));
-        let printed = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success() && printed.contains("run_1.mcap: the file is empty"));
+        place.write("folder/metadata.yaml", metadata);
+        let printed = place.done(&format!("bag recover folder --out {out}"));
+        assert!(printed.contains("run_1.mcap: the file is empty"), "{printed}");
         assert_eq!(printed.contains("gone.mcap: no such file"), out == "b.mcap", "{printed}");
         assert_eq!(BagReader::summary(&place.path(out)).unwrap().messages(), 4);
     }
@@ -309,13 +259,11 @@ fn a_damaged_bag_is_recovered() {
 
 #[test]
 fn an_input_is_no_output_and_two_outputs_have_two_names() {
-    let place = Place::with_bag();
-    place.file("params.yaml", b"pose_fusion: {ros__parameters: {history: 0.5}}\n");
-    place.file("camera.svg", b"image_width: 640\n");
-    let inputs = || {
-        ["in.mcap", "rig.yaml", "params.yaml", "camera.svg"]
-            .map(|name| fs::read(place.path(name)).unwrap())
-    };
+    let place = with_bag();
+    place.write("params.yaml", b"pose_fusion: {ros__parameters: {history: 0.5}}\n");
+    place.write("camera.svg", b"image_width: 640\n");
+    let inputs =
+        || ["in.mcap", "rig.yaml", "params.yaml", "camera.svg"].map(|name| place.read(name));
     let before = inputs();
     for arguments in [
         "calibrate imu in.mcap --rig rig.yaml --plot rig.yaml",
@@ -338,14 +286,12 @@ fn an_input_is_no_output_and_two_outputs_have_two_names() {
 
 #[test]
 fn a_limit_of_file_sizes_is_a_write_error() {
-    let place = Place::new();
-    let (rig, out) = (place.path("rig.yaml"), place.path("markers.pdf"));
-    let script = "ulimit -f 1; exec \"$0\" markers --rig \"$1\" --out \"$2\"";
+    let place = Place::with_rig(RIG);
+    let script = "ulimit -f 1; exec \"$0\" markers --rig rig.yaml --out markers.pdf";
     let mut command = Command::new("sh");
-    command.args(["-c", script, env!("CARGO_BIN_EXE_volant")]).args([&rig, &out]);
-    let output = command.output().unwrap();
-    let printed = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(1), "{printed}");
-    assert!(printed.contains("markers.pdf: cannot be written"), "{printed}");
-    assert!(!out.exists());
+    command.args(["-c", script, env!("CARGO_BIN_EXE_volant")]).current_dir(place.folder());
+    let Ran { status, err, .. } = command.output().unwrap().into();
+    assert_eq!(status, Some(1), "{err}");
+    assert!(err.contains("markers.pdf: cannot be written"), "{err}");
+    assert!(!place.path("markers.pdf").exists());
 }

@@ -1,13 +1,14 @@
 //! `volant play` and `volant record` together over DDS: a played bag is recorded byte for byte.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, clippy::disallowed_methods)]
 
+mod place;
 mod simulated;
 
 use bag::{BagMessage, BagReader, BagWriter, Qos, Topic, WriteOptions, qos_from_yaml};
+use place::live;
 use rig_model::topics;
 use std::{
     path::{Path, PathBuf},
-    process::Command,
     time::{Duration, Instant, SystemTime, UNIX_EPOCH},
 };
 use tempfile::TempDir;
@@ -54,14 +55,8 @@ fn bag(path: &Path) {
     bag.finish().unwrap();
 }
 
-fn volant(domain: u16, arguments: &[&str]) -> Command {
-    let mut command = in_domain(domain, env!("CARGO_BIN_EXE_volant"));
-    command.args(arguments);
-    command
-}
-
-fn start(domain: u16, arguments: &[&str]) -> Running {
-    Running::start(&mut volant(domain, arguments))
+fn start(domain: u16, arguments: &str) -> Running {
+    Running::start(&mut live(domain, arguments))
 }
 
 /// Waits for the end of a process that must succeed, and returns what it printed.
@@ -89,14 +84,13 @@ struct Recorded {
     copy: PathBuf,
 }
 
-/// Records a played bag; `during` gets the recorder before the end.
-fn copied(domain: u16, play: &[&str], record: &[&str], end: impl FnOnce(Running)) -> Recorded {
+/// Records a played bag; `end` gets the recorder after it.
+fn copied(domain: u16, play: &str, record: &str, end: impl FnOnce(Running)) -> Recorded {
     let dir = TempDir::new().unwrap();
     let (original, copy) = (dir.path().join("original.mcap"), dir.path().join("copy"));
     bag(&original);
-    let recorder = start(domain, &[&["record", "-o", copy.to_str().unwrap()], record].concat());
-    let player =
-        start(domain, &[&["play", original.to_str().unwrap(), "--delay", "3"], play].concat());
+    let recorder = start(domain, &format!("record -o {} {record}", copy.display()));
+    let player = start(domain, &format!("play {} --delay 3 {play}", original.display()));
     let printed = finish(player, "play");
     assert!(printed.contains("messages of"), "{printed}");
     std::thread::sleep(Duration::from_millis(500));
@@ -112,8 +106,7 @@ fn interrupt(recorder: Running) {
 
 #[test]
 fn a_played_bag_is_recorded_byte_for_byte() {
-    let record = ["--split-duration", "1", "--compression", "lz4"];
-    let recorded = copied(71, &["--clock"], &record, interrupt);
+    let recorded = copied(71, "--clock", "--split-duration 1 --compression lz4", interrupt);
     let summary = BagReader::summary(&recorded.copy).unwrap();
     assert!(summary.complete && summary.files.len() >= 2, "{summary:?}");
     for topic in
@@ -150,7 +143,7 @@ fn a_played_bag_is_recorded_byte_for_byte() {
 #[test]
 #[ignore = "measures wall time: make long"]
 fn a_bag_is_played_at_its_pace_and_a_recorder_ends_at_once() {
-    let recorded = copied(76, &[], &[], |recorder| {
+    let recorded = copied(76, "", "", |recorder| {
         let started = Instant::now();
         interrupt(recorder);
         assert!(started.elapsed() < Duration::from_secs(2), "the end took {:?}", started.elapsed());
@@ -169,8 +162,8 @@ fn a_recorder_that_is_killed_leaves_a_bag_and_topics_can_be_chosen() {
         // Kills with SIGKILL.
         drop(recorder);
     };
-    let play = ["--rate", "2", "--remap", "volant/imu/data:=/imu", "--start-offset", "1"];
-    let recorded = copied(72, &play, &["/imu", "/missing"], end);
+    let play = "--rate 2 --remap volant/imu/data:=/imu --start-offset 1";
+    let recorded = copied(72, play, "/imu /missing", end);
     let samples = read(&recorded.copy, "/imu");
     let first: Imu = cdr::from_bytes(&samples[0].data).unwrap();
     assert_eq!(first.linear_acceleration.z, 400.0, "the second half");
@@ -178,11 +171,8 @@ fn a_recorder_that_is_killed_leaves_a_bag_and_topics_can_be_chosen() {
     assert_eq!(read(&recorded.copy, "/image/compressed"), []);
     // The recovered bag has its closing records.
     let recovered = recorded.dir.path().join("recovered.mcap");
-    let recover = start(
-        72,
-        &["bag", "recover", recorded.copy.to_str().unwrap(), "--out", recovered.to_str().unwrap()],
-    );
-    finish(recover, "recover");
+    let (copy, out) = (recorded.copy.display(), recovered.display());
+    finish(start(72, &format!("bag recover {copy} --out {out}")), "recover");
     assert_eq!(BagReader::summary(&recovered).unwrap().count("/imu"), 400);
 }
 
@@ -193,9 +183,8 @@ fn player_and_recorder_own_their_topics_in_the_graph() {
     let dir = TempDir::new().unwrap();
     let (original, copy) = (dir.path().join("original.mcap"), dir.path().join("copy"));
     bag(&original);
-    let original = original.to_str().unwrap();
-    let recorder = start(75, &["record", "-o", copy.to_str().unwrap()]);
-    let player = start(75, &["play", original, "--loop", "--clock"]);
+    let recorder = start(75, &format!("record -o {}", copy.display()));
+    let player = start(75, &format!("play {} --loop --clock", original.display()));
     let script = r#"
 import json, time, rclpy
 rclpy.init()
@@ -217,12 +206,7 @@ while time.monotonic() < end:
     time.sleep(0.1)
 print(json.dumps(found))
 "#;
-    let looker = Command::new(python)
-        .args(["-c", script])
-        .env("ROS_DOMAIN_ID", "75")
-        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        .output()
-        .unwrap();
+    let looker = in_domain(75, python).args(["-c", script]).output().unwrap();
     let text = String::from_utf8_lossy(&looker.stdout);
     let found: serde_json::Value = serde_json::from_str(&text)
         .unwrap_or_else(|_| panic!("{text} {}", String::from_utf8_lossy(&looker.stderr)));
@@ -244,37 +228,28 @@ fn play_and_record_reject_wrong_arguments() {
     let dir = TempDir::new().unwrap();
     let original = dir.path().join("original.mcap");
     bag(&original);
-    let (bag, there) = (original.to_str().unwrap(), dir.path().to_str().unwrap());
     for (arguments, code, words) in [
-        (vec!["play", bag, "--topics", "/none", "/other"], 1, "on /none, /other; it holds"),
+        ("play original.mcap --topics /none /other", 1, "on /none, /other; it holds"),
         // `replay.launch.xml` lists raw and compressed images, of which a bag has one.
-        (vec!["play", bag, "--topics", "/volant/imu/data", "/none"], 0, "no topic /none"),
-        (vec!["play", bag, "-m", "volant/imu:=/imu"], 1, "on /volant/imu; it holds"),
-        (vec!["play", bag, "--start-offset", "60"], 1, "1.998 s long"),
-        (vec!["play", bag, "--rate", "0"], 2, "from 0.001"),
-        (vec!["play", "gone.mcap"], 1, "no such file"),
-        (vec!["record", "-o", there], 1, "exists already"),
-        (vec!["up", "warp_drive"], 2, "no node"),
-        (vec!["up", "--rig", "gone.yaml"], 1, "gone.yaml"),
-        (vec!["up", "climber_driver", "--foxglove=here"], 2, "ADDRESS:PORT"),
+        ("play original.mcap --topics /volant/imu/data /none", 0, "no topic /none"),
+        ("play original.mcap -m volant/imu:=/imu", 1, "on /volant/imu; it holds"),
+        ("play original.mcap --start-offset 60", 1, "1.998 s long"),
+        ("play original.mcap --rate 0", 2, "from 0.001"),
+        ("play gone.mcap", 1, "no such file"),
+        ("record -o .", 1, "exists already"),
+        ("up warp_drive", 2, "no node"),
+        ("up --rig gone.yaml", 1, "gone.yaml"),
+        ("up climber_driver --foxglove=here", 2, "ADDRESS:PORT"),
         // A parameter of a node that is not started.
-        (
-            vec!["up", "climber_driver", "--ros-args", "-p", "image_transport:=raw"],
-            2,
-            "image_transport",
-        ),
-        (vec!["monitor", "--interval", "0"], 2, "from 0.1"),
+        ("up climber_driver --ros-args -p image_transport:=raw", 2, "image_transport"),
+        ("monitor --interval 0", 2, "from 0.1"),
     ] {
-        let output = volant(73, &arguments).output().unwrap();
+        let output = live(73, arguments).current_dir(dir.path()).output().unwrap();
         let printed = String::from_utf8_lossy(&output.stderr);
-        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {printed}");
-        assert!(printed.contains(words), "{arguments:?}: {printed}");
+        assert_eq!(output.status.code(), Some(code), "{arguments}: {printed}");
+        assert!(printed.contains(words), "{arguments}: {printed}");
     }
-    let output = volant(73, &["up", "--help"]).output().unwrap();
-    assert!(
-        output.status.success()
-            && String::from_utf8_lossy(&output.stdout).contains("marker_tracker")
-    );
+    assert!(finish(start(73, "up --help"), "up --help").contains("marker_tracker"));
 }
 
 #[test]
@@ -282,15 +257,14 @@ fn a_paused_player_waits_for_sigusr1() {
     let dir = TempDir::new().unwrap();
     let (original, copy) = (dir.path().join("original.mcap"), dir.path().join("copy.mcap"));
     bag(&original);
-    let recorder = start(74, &["record", topics::absolute::IMU, "-o", copy.to_str().unwrap()]);
-    let player = start(74, &["play", original.to_str().unwrap(), "--paused", "--delay", "3"]);
+    let recorder = start(74, &format!("record /volant/imu/data -o {}", copy.display()));
+    let player = start(74, &format!("play {} --paused --delay 3", original.display()));
     std::thread::sleep(Duration::from_secs(6));
     let resumed = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_nanos() as u64;
     player.signal("USR1");
     finish(player, "play");
     std::thread::sleep(Duration::from_millis(500));
-    recorder.signal("INT");
-    finish(recorder, "record");
+    interrupt(recorder);
     let samples = read(&copy, topics::absolute::IMU);
     assert_eq!(samples.len(), 800);
     assert!(samples[0].publish_time >= resumed);
@@ -304,7 +278,7 @@ fn a_bag_of_one_instant_is_repeated_at_a_bounded_rate() {
     let topic = bag.add_topic(Topic::of::<Text>("/text", &Qos::RELIABLE));
     bag.write_message(topic, START, &Text::default()).unwrap();
     bag.finish().unwrap();
-    let player = start(77, &["play", path.to_str().unwrap(), "--loop", "--delay", "0"]);
+    let player = start(77, &format!("play {} --loop --delay 0", path.display()));
     std::thread::sleep(Duration::from_secs(2));
     player.signal("INT");
     let printed = finish(player, "play");
@@ -320,11 +294,9 @@ fn encoders_are_calibrated_from_live_topics() {
     let simulated = simulated::Simulated::new(6);
     simulated.write_jog(&jog);
     std::fs::write(&rig, rig_simulator::RIG_YAML).unwrap();
-    let loops = ["play", jog.to_str().unwrap(), "--rate", "4", "--loop"];
-    let _player = start(75, &loops);
-    let rig_file = rig.to_str().unwrap();
-    let live = ["calibrate", "climber", "--live", "--duration", "10", "--rig", rig_file];
-    let printed = finish(start(75, &live), "calibrate climber");
+    let _player = start(75, &format!("play {} --rate 4 --loop", jog.display()));
+    let calibrate = format!("calibrate climber --live --duration 10 --rig {}", rig.display());
+    let printed = finish(start(75, &calibrate), "calibrate climber");
     for joint in simulated.encoders.names {
         assert!(printed.contains(joint), "{printed}");
     }

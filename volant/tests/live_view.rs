@@ -1,11 +1,14 @@
 //! `volant monitor`, and Foxglove's protocol with an independent client.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, clippy::disallowed_methods)]
 
+mod place;
+
 use bag::{BagReader, BagWriter, Qos, Topic, WriteOptions};
+use place::{Ran, live};
 use rig_model::topics;
 use std::{path::Path, process::Command, time::Duration};
 use tempfile::TempDir;
-use test_support::process::{Running, in_domain};
+use test_support::process::Running;
 use volant_msgs::{
     builtin_interfaces::msg::Time,
     cdr,
@@ -73,14 +76,8 @@ fn bag(path: &Path, rail_x: f64) {
     bag.finish().unwrap();
 }
 
-fn command(domain: u16, arguments: &str) -> Command {
-    let mut command = in_domain(domain, env!("CARGO_BIN_EXE_volant"));
-    command.args(arguments.split_whitespace());
-    command
-}
-
 fn start(domain: u16, arguments: &str) -> Running {
-    Running::start(&mut command(domain, arguments))
+    Running::start(&mut live(domain, arguments))
 }
 
 const RIG: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../launch_config/config/rig.yaml");
@@ -94,9 +91,9 @@ fn the_monitor_shows_poses_markers_rates_losses_and_missing_nodes() {
     let nodes = format!("up pose_fusion climber_driver --rig {RIG} --ros-args -p model:=tight");
     let _nodes = start(81, &nodes);
     let _player = start(81, &format!("play --loop {}", path.display()));
-    let output = command(81, "monitor --once --interval 6").output().unwrap();
-    let printed = String::from_utf8_lossy(&output.stdout).into_owned();
-    assert!(output.status.success(), "{printed}{}", String::from_utf8_lossy(&output.stderr));
+    let run = |domain, arguments| Ran::from(live(domain, arguments).output().unwrap());
+    let Ran { status, out: printed, err } = run(81, "monitor --once --interval 6");
+    assert_eq!(status, Some(0), "{printed}{err}");
     for needle in [
         "rig /\n",
         "z  -1.2500 ±1.00 mm",
@@ -121,14 +118,12 @@ fn the_monitor_shows_poses_markers_rates_losses_and_missing_nodes() {
     assert!((70.0..115.0).contains(&rate) && odometry.contains("0 lost"), "{odometry}");
 
     // Another namespace has no topics.
-    let output = command(81, "monitor --once --interval 3 -n /other").output().unwrap();
-    assert!(!String::from_utf8_lossy(&output.stdout).contains("odometry"));
+    assert!(!run(81, "monitor --once --interval 3 -n /other").out.contains("odometry"));
     // Another domain has no topics, which is an error.
-    let output = command(82, "monitor --once --interval 1").output().unwrap();
-    assert_eq!(output.status.code(), Some(1));
+    let Ran { status, err, .. } = run(82, "monitor --once --interval 1");
+    assert_eq!(status, Some(1));
     let nothing = "nothing is published in DDS domain 82 on ";
-    let printed = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(printed.contains(nothing) && printed.contains("ROS_DOMAIN_ID"), "{printed}");
+    assert!(err.contains(nothing) && err.contains("ROS_DOMAIN_ID"), "{err}");
     // Without `--once` it waits, and says so.
     let waiting = start(82, "monitor --plain --interval 1");
     waiting.line_with(nothing, Duration::from_secs(10));
@@ -226,7 +221,7 @@ fn two_rigs_in_one_domain_are_separate() {
     }
     let copy = dir.path().join("copy.mcap");
     let record = format!("record --duration 7 -o {}", copy.display());
-    let output = command(84, &record).output().unwrap();
+    let output = live(84, &record).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let mut bag = BagReader::open(&copy).unwrap();
     let mut counts = [0; 2];

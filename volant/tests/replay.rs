@@ -3,9 +3,11 @@
 //! The recordings are found through `VOLANT_SHARED`; without it their tests are skipped.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
+mod place;
 mod simulated;
 
-use bag::{BagReader, BagWriter, WriteOptions};
+use bag::BagReader;
+use place::{Place, copy_bag};
 use rig_model::topics;
 use simulated::Simulated;
 use std::{
@@ -30,8 +32,36 @@ const WHOLE: &str = "published system";
 /// Variable that makes the test write the figures; the commit explains the change.
 const UPDATE: &str = "VOLANT_UPDATE_FIGURES";
 
-fn bags() -> Option<PathBuf> {
-    Some(test_support::recordings()?.join("bags"))
+/// The recordings, and a folder for replays of them.
+struct Replays {
+    bags: PathBuf,
+    dir: TempDir,
+}
+
+impl Replays {
+    fn new() -> Option<Self> {
+        let bags = test_support::recordings()?.join("bags");
+        Some(Self { bags, dir: TempDir::new().unwrap() })
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.dir.path().join(name)
+    }
+
+    /// Replays a recording into a bag of this name.
+    fn replay(&self, bag: &str, name: &str, more: &[&str]) -> PathBuf {
+        let (folder, out) = (self.bags.join(bag), self.path(name).with_extension("mcap"));
+        let output = replay(&folder.join("in.mcap"), &folder.join("rig.yaml"), &out, more);
+        assert!(output.status.success(), "{bag}: {}", String::from_utf8_lossy(&output.stderr));
+        out
+    }
+
+    /// Errors of a replay's estimates after the first second.
+    fn qualities(&self, bag: &str, estimates: PathBuf) -> Vec<Quality> {
+        let truth = self.bags.join(bag).join("truth.mcap");
+        let options = EvaluateOptions { estimates, truth, skip: 1.0, names: TopicNames::default() };
+        evaluate(&options).unwrap().estimates
+    }
 }
 
 fn replay(bag: &Path, rig: &Path, out: &Path, more: &[&str]) -> Output {
@@ -43,53 +73,33 @@ fn replay(bag: &Path, rig: &Path, out: &Path, more: &[&str]) -> Output {
         .unwrap()
 }
 
-fn replayed(bags: &Path, name: &str, out: &Path, more: &[&str]) {
-    let output =
-        replay(&bags.join(name).join("in.mcap"), &bags.join(name).join("rig.yaml"), out, more);
-    assert!(output.status.success(), "{name}: {}", String::from_utf8_lossy(&output.stderr));
-}
-
 /// The filter rejects it, and it does not become the end of the output.
 #[test]
 fn a_transform_stamped_in_another_year_does_not_stretch_the_output() {
-    let (dir, simulated) = (TempDir::new().unwrap(), Simulated::new(5));
-    let [bag, changed, rig, out] =
-        ["in.mcap", "changed.mcap", "rig.yaml", "out.mcap"].map(|name| dir.path().join(name));
-    simulated.write(&bag, &simulated.motion(5.0, false), true);
-    fs::write(&rig, rig_simulator::RIG_YAML).unwrap();
-    let mut reader = BagReader::open(&bag).unwrap();
-    let mut copy = BagWriter::create(&changed, WriteOptions::default()).unwrap();
+    let (place, simulated) = (Place::with_rig(rig_simulator::RIG_YAML), Simulated::new(5));
+    simulated.write(&place.path("in.mcap"), &simulated.motion(5.0, false), true);
     let mut count = 0;
-    while let Some(mut message) = reader.next_message().unwrap() {
-        if message.topic.type_name == TransformStamped::TYPE_NAME {
-            count += 1;
-            if count == 100 {
-                let mut transform: TransformStamped = cdr::from_bytes(&message.data).unwrap();
-                transform.header.stamp.sec += 10 * 365 * 86_400;
-                message.data = cdr::to_bytes(&transform);
-            }
+    copy_bag(&place.path("in.mcap"), &place.path("changed.mcap"), |topic, message| {
+        count += u32::from(topic.type_name == TransformStamped::TYPE_NAME);
+        if count == 100 && topic.type_name == TransformStamped::TYPE_NAME {
+            let mut transform: TransformStamped = cdr::from_bytes(&message.data).unwrap();
+            transform.header.stamp.sec += 10 * 365 * 86_400;
+            message.data = cdr::to_bytes(&transform);
         }
-        let id = copy.add_topic((*message.topic).clone());
-        copy.write(id, message.log_time, message.log_time, &message.data).unwrap();
-    }
-    copy.finish().unwrap();
-    let output = replay(&changed, &rig, &out, &[]);
-    let printed = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success() && printed.contains("ahead of the IMU"), "{printed}");
-    let (start, end) = BagReader::summary(&out).unwrap().span.unwrap();
+    });
+    let printed = place.done("replay changed.mcap --rig rig.yaml --out out.mcap");
+    assert!(printed.contains("ahead of the IMU"), "{printed}");
+    let (start, end) = BagReader::summary(&place.path("out.mcap")).unwrap().span.unwrap();
     assert!(end - start < 10_000_000_000, "{start} to {end}");
 }
 
 #[test]
 fn a_replay_writes_the_same_bytes_each_time_with_one_thread_or_many() {
-    let Some(bags) = bags() else { return };
-    let dir = TempDir::new().unwrap();
+    let Some(replays) = Replays::new() else { return };
     for system in [&[][..], &["--params-file", PAPER]] {
         let outs = [("first", "1"), ("second", "1"), ("third", "5")].map(|(name, threads)| {
-            let out = dir.path().join(name).with_extension("mcap");
             let options = [system, &["--overwrite", "--threads", threads]].concat();
-            replayed(&bags, "occlude_two", &out, &options);
-            fs::read(out).unwrap()
+            fs::read(replays.replay("occlude_two", name, &options)).unwrap()
         });
         assert!(outs[0] == outs[1], "{system:?}: two replays differ");
         assert!(outs[0] == outs[2], "{system:?}: the number of threads changes the result");
@@ -98,19 +108,18 @@ fn a_replay_writes_the_same_bytes_each_time_with_one_thread_or_many() {
 
 #[test]
 fn a_replay_ends_with_what_is_wrong_in_the_rig_file() {
-    let Some(bags) = bags() else { return };
-    let dir = TempDir::new().unwrap();
-    let bag = bags.join("nominal");
+    let Some(replays) = Replays::new() else { return };
+    let bag = replays.bags.join("nominal");
     let text = fs::read_to_string(bag.join("rig.yaml")).unwrap();
     let line = text.lines().find(|line| line.trim().starts_with("red:")).unwrap();
     let (before, x) = line.split_once('[').unwrap();
     let (x, rest) = x.split_once(',').unwrap();
     let x: f64 = x.trim().parse().unwrap();
     let moved = format!("{before}[{:.4},{rest}", x + 0.005);
-    let wrong = dir.path().join("my rig.yaml");
+    let wrong = replays.path("my rig.yaml");
     fs::write(&wrong, text.replace(line, &moved)).unwrap();
-    let out = dir.path().join("out.mcap");
-    let more = dir.path().join("more.yaml");
+    let out = replays.path("out.mcap");
+    let more = replays.path("more.yaml");
     fs::write(&more, "marker_tracker: {ros__parameters: {max_predicted: 6}}\n").unwrap();
     let more = more.to_str().unwrap();
     let command = format!(
@@ -133,15 +142,11 @@ fn a_replay_ends_with_what_is_wrong_in_the_rig_file() {
 
 #[test]
 fn the_nodes_parameter_file_sets_the_replay_as_it_sets_the_nodes() {
-    let Some(bags) = bags() else { return };
-    let dir = TempDir::new().unwrap();
-    let written = |name: &str, more: &[&str]| {
-        let out = dir.path().join(name).with_extension("mcap");
-        replayed(&bags, "nominal", &out, more);
-        fs::read(out).unwrap()
-    };
+    let Some(replays) = Replays::new() else { return };
+    let written =
+        |name: &str, more: &[&str]| fs::read(replays.replay("nominal", name, more)).unwrap();
     let file = |name: &str, text: &str| {
-        let path = dir.path().join(name);
+        let path = replays.path(name);
         fs::write(&path, text).unwrap();
         path.into_os_string().into_string().unwrap()
     };
@@ -168,11 +173,10 @@ fn the_nodes_parameter_file_sets_the_replay_as_it_sets_the_nodes() {
 
 #[test]
 fn the_default_filter_runs_on_the_published_tracker() {
-    let Some(bags) = bags() else { return };
-    let dir = TempDir::new().unwrap();
-    let out = dir.path().join("out.mcap");
-    replayed(&bags, "nominal", &out, &["--params-file", PAPER, "--model", "tight"]);
-    let estimates = qualities(&bags, "nominal", out);
+    let Some(replays) = Replays::new() else { return };
+    let options = ["--params-file", PAPER, "--model", "tight"];
+    let out = replays.replay("nominal", "out", &options);
+    let estimates = replays.qualities("nominal", out);
     let fused = estimates.iter().find(|q| q.estimate == topics::ODOMETRY).unwrap();
     let (mm, degrees) = (fused.position_mm.rmse, fused.rotation_deg.rmse);
     assert!(fused.count > 1000 && mm < 5.0 && degrees < 1.5, "{mm} mm, {degrees}°");
@@ -180,11 +184,10 @@ fn the_default_filter_runs_on_the_published_tracker() {
 
 #[test]
 fn smoothed_odometry_is_more_accurate_and_consistent() {
-    let Some(bags) = bags() else { return };
-    let dir = TempDir::new().unwrap();
+    let Some(replays) = Replays::new() else { return };
     // The recordings have the rig file's calibration: an allowance for its errors would make the
     // covariance too large.
-    let exact = dir.path().join("exact.yaml");
+    let exact = replays.path("exact.yaml");
     let sigmas = [
         "calibration.focal_length_sigma",
         "calibration.layout_sigma",
@@ -195,10 +198,8 @@ fn smoothed_odometry_is_more_accurate_and_consistent() {
     let lines: String = sigmas.map(|name| format!("    {name}: 0.0\n")).concat();
     fs::write(&exact, format!("pose_fusion:\n  ros__parameters:\n{lines}")).unwrap();
     for name in BAGS {
-        let out = dir.path().join(name).with_extension("mcap");
         let options = ["--smooth", "--params-file", exact.to_str().unwrap()];
-        replayed(&bags, name, &out, &options);
-        let found = qualities(&bags, name, out);
+        let found = replays.qualities(name, replays.replay(name, name, &options));
         let of = |topic: &str| found.iter().find(|q| q.estimate == topic).unwrap();
         let (live, smooth) = (of(topics::ODOMETRY), of(topics::SMOOTHED_ODOMETRY));
         println!(
@@ -222,25 +223,16 @@ fn smoothed_odometry_is_more_accurate_and_consistent() {
 
 #[test]
 fn a_bag_that_is_cut_is_replayed_up_to_the_cut() {
-    let Some(bags) = bags() else { return };
-    let dir = TempDir::new().unwrap();
-    let bytes = fs::read(bags.join("nominal/in.mcap")).unwrap();
-    let cut = dir.path().join("cut.mcap");
+    let Some(replays) = Replays::new() else { return };
+    let bytes = fs::read(replays.bags.join("nominal/in.mcap")).unwrap();
+    let [cut, out] = ["cut.mcap", "out.mcap"].map(|name| replays.path(name));
     fs::write(&cut, &bytes[..bytes.len() / 2]).unwrap();
-    let out = dir.path().join("out.mcap");
-    let output = replay(&cut, &bags.join("nominal/rig.yaml"), &out, &[]);
+    let output = replay(&cut, &replays.bags.join("nominal/rig.yaml"), &out, &[]);
     let printed = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{printed}");
     assert!(printed.lines().any(|l| l.contains("cut.mcap") && l.contains("cut off")), "{printed}");
-    let last = qualities(&bags, "nominal", out)[0].last_s;
+    let last = replays.qualities("nominal", out)[0].last_s;
     assert!((5.0..7.0).contains(&last), "half of 12 s: {last}");
-}
-
-/// Errors of a replay's estimates after the first second.
-fn qualities(bags: &Path, bag: &str, estimates: PathBuf) -> Vec<Quality> {
-    let truth = bags.join(bag).join("truth.mcap");
-    let options = EvaluateOptions { estimates, truth, skip: 1.0, names: TopicNames::default() };
-    evaluate(&options).unwrap().estimates
 }
 
 /// One row of the tracked table.
@@ -263,8 +255,7 @@ fn row(bag: &str, model: &str, q: &Quality) -> String {
 /// each count is equal. Another processor's rounding changes far less.
 #[test]
 fn the_figures_are_those_of_the_tracked_table() {
-    let Some(bags) = bags() else { return };
-    let dir = TempDir::new().unwrap();
+    let Some(replays) = Replays::new() else { return };
     let mut lines = vec![
         "bag,model,estimate,count,position_rmse_mm,position_max_mm,\
          rotation_rmse_deg,rotation_max_deg,nees_position,nees_rotation"
@@ -278,9 +269,8 @@ fn the_figures_are_those_of_the_tracked_table() {
     ];
     for (model, options, names) in models {
         for bag in names {
-            let out = dir.path().join(format!("{bag}_{model}.mcap"));
-            replayed(&bags, bag, &out, &options);
-            for quality in qualities(&bags, bag, out) {
+            let out = replays.replay(bag, &format!("{bag}_{model}"), &options);
+            for quality in replays.qualities(bag, out) {
                 // The fused pose is the inverted odometry, which another test covers.
                 if quality.estimate != topics::FUSED_POSE {
                     lines.push(row(bag, model, &quality));

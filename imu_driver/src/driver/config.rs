@@ -2,11 +2,10 @@
 
 use crate::protocol::{
     LegacyFormat, NumberFormat, OutputEntry, OutputMode, OutputSettings,
-    configuration::{TICKS_PER_SECOND, period_and_skip},
-    message::BAUD_SCAN,
+    configuration::period_and_skip,
+    message::{BAUD_SCAN, baud_code},
     mtdata2::{data_length, xdi},
 };
-use thiserror::Error;
 
 ros_parameters::parameters! {
     /// Configuration of the driver; each row is a parameter of the node.
@@ -42,53 +41,25 @@ ros_parameters::parameters! {
             step_patience: f64 = 1.0;
         }
     }
-    check(config) { config.check().map_err(|e| e.to_string()) }
-}
-
-/// Invalid configuration.
-#[derive(Clone, Debug, Error, PartialEq)]
-pub enum ConfigError {
-    /// This rate, Hz, is out of range.
-    #[error("a rate of {0} Hz is out of range; use 0.01 to 512 Hz")]
-    Rate(f64),
-    /// The devices do not support this baud rate.
-    #[error(
-        "{0} baud is not supported; use {scanned}, or 0 to search",
-        scanned = BAUD_SCAN.map(|b| b.to_string()).join(", ")
-    )]
-    Baud(u32),
-    /// The messages exceed the baud rate.
-    #[error(
-        "{rate} Hz of {bytes} bytes need {needed} baud, but the line has {baud}; \
-         lower the rate, disable outputs, or set a higher baud rate with \
-         `volant imu configure --set-baud`"
-    )]
-    LineTooSlow {
-        /// Configured rate, Hz.
-        rate: f64,
-        /// Length of a message, bytes.
-        bytes: usize,
-        /// Required baud rate.
-        needed: u32,
-        /// Configured baud rate.
-        baud: u32,
-    },
+    check(config) { config.check() }
 }
 
 impl DriverConfig {
     /// Checks all values.
     ///
     /// # Errors
-    /// [`ConfigError`] for the first invalid value.
-    pub fn check(&self) -> Result<(), ConfigError> {
-        if period_and_skip(self.rate).is_none() {
-            return Err(ConfigError::Rate(self.rate));
+    /// The first invalid value, and the valid ones.
+    pub fn check(&self) -> Result<(), String> {
+        let (rate, baud) = (self.rate, self.baud);
+        if period_and_skip(rate).is_none() {
+            return Err(format!("a rate of {rate} Hz is out of range; use 0.01 to 512 Hz"));
         }
-        let Some(baud) = self.known_baud() else {
+        if baud == 0 {
             return Ok(());
-        };
-        if crate::protocol::message::baud_code(baud).is_none() {
-            return Err(ConfigError::Baud(baud));
+        }
+        if baud_code(baud).is_none() {
+            let scanned = BAUD_SCAN.map(|b| b.to_string()).join(", ");
+            return Err(format!("{baud} baud is not supported; use {scanned}, or 0 to search"));
         }
         // MTData2 is longer, but which device answers is not known yet.
         self.check_line(baud, false)
@@ -96,33 +67,31 @@ impl DriverConfig {
 
     /// Checks that a line of `baud` carries the messages (MTData2 or legacy ones), unless the
     /// settings of the IMU remain.
-    ///
-    /// # Errors
-    /// [`ConfigError::LineTooSlow`].
-    pub(super) fn check_line(&self, baud: u32, mtdata2: bool) -> Result<(), ConfigError> {
+    pub(super) fn check_line(&self, baud: u32, mtdata2: bool) -> Result<(), String> {
         let bytes = 5 + match mtdata2 {
             true => data_length(&self.outputs()),
             false => self.legacy_format().data_length(),
         };
-        let needed = (bytes as f64 * 10.0 * self.rate).ceil() as u32;
+        let rate = self.rate;
+        let needed = (bytes as f64 * 10.0 * rate).ceil() as u32;
         if needed > baud && !self.leave_settings {
-            return Err(ConfigError::LineTooSlow { rate: self.rate, bytes, needed, baud });
+            return Err(format!(
+                "{rate} Hz of {bytes} bytes need {needed} baud, but the line has {baud}; lower \
+                 the rate, disable outputs, or set a higher baud rate with `volant imu configure \
+                 --set-baud`"
+            ));
         }
         Ok(())
     }
 
     /// Baud rates in the order of the search.
     pub(super) fn bauds(&self) -> Vec<u32> {
-        self.known_baud().map_or_else(|| BAUD_SCAN.to_vec(), |baud| vec![baud])
-    }
-
-    fn known_baud(&self) -> Option<u32> {
-        (self.baud != 0).then_some(self.baud)
+        if self.baud == 0 { BAUD_SCAN.to_vec() } else { vec![self.baud] }
     }
 
     /// Baud rate to open the port with.
     pub fn first_baud(&self) -> u32 {
-        self.known_baud().unwrap_or(115_200)
+        if self.baud == 0 { BAUD_SCAN[0] } else { self.baud }
     }
 
     /// Format to set on a legacy device; always with calibrated data and counter.
@@ -160,11 +129,6 @@ impl DriverConfig {
         }
         outputs
     }
-
-    /// Period and skip factor; those of 100 Hz if the rate is invalid.
-    pub(super) fn period_and_skip(&self) -> (u16, u16) {
-        period_and_skip(self.rate).unwrap_or(((TICKS_PER_SECOND / 100.0) as u16, 0))
-    }
 }
 
 #[cfg(test)]
@@ -172,20 +136,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_default_is_the_standard_format_at_100_hz() {
+    fn the_default_is_the_standard_format() {
         let config = DriverConfig::default();
         assert_eq!(config.legacy_format(), LegacyFormat::STANDARD);
-        assert_eq!(config.period_and_skip(), (1152, 0));
         assert_eq!(config.check(), Ok(()));
     }
 
     #[test]
     fn errors_name_the_invalid_value() {
         let config = DriverConfig { rate: 400.0, ..DriverConfig::default() };
-        let error = config.check().unwrap_err().to_string();
+        let error = config.check().unwrap_err();
         assert!(error.contains("236000 baud"), "{error}");
         assert!(DriverConfig { rate: f64::NAN, ..DriverConfig::default() }.check().is_err());
-        let error = DriverConfig { baud: 12_345, ..config }.check().unwrap_err().to_string();
+        let error = DriverConfig { baud: 12_345, ..config }.check().unwrap_err();
         assert!(error.contains("12345") && error.contains("115200"), "{error}");
     }
 }

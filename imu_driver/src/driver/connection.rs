@@ -1,6 +1,6 @@
 //! Opening the port and calling the device until it acknowledges GoToConfig.
 
-use super::{ConfigError, Driver, DriverConfig, Event, Output, Phase};
+use super::{Driver, DriverConfig, Event, Output, Phase};
 use crate::protocol::MessageId;
 
 /// Bytes received within this time after opening belong to the previous stream, s.
@@ -140,11 +140,16 @@ impl Driver {
 
     /// Reports that the line is too slow for the settings, which are not written, and calls the
     /// device again after a pause.
-    pub(super) fn line_too_slow(&mut self, error: ConfigError) {
+    pub(super) fn line_too_slow(&mut self, reason: String) {
         if !std::mem::replace(&mut self.connection.reported_too_slow, true) {
             self.event(Event::Found(self.identity.clone()));
-            self.event(Event::LineTooSlow(error));
+            self.event(Event::LineTooSlow(reason));
         }
+        self.call_after_pause();
+    }
+
+    /// Calls the device after a pause, which grows from one attempt to the next.
+    pub(super) fn call_after_pause(&mut self) {
         let pause = self.connection.grow_pause();
         self.call(pause);
     }

@@ -1,6 +1,5 @@
 //! Events of the driver, for the log and the diagnostics of its shell.
 
-use super::ConfigError;
 use crate::{
     clock_fit::MAX_DRIFT,
     protocol::{Configuration, DeviceError, DeviceId, MessageId, OutputEntry},
@@ -108,9 +107,10 @@ pub enum Event {
         /// Value read back.
         found: String,
     },
-    /// The line on which the device was found is too slow for the settings; none was written.
+    /// The line on which the device was found is too slow for the settings, with numbers; none was
+    /// written.
     #[error("no setting was written: {0}")]
-    LineTooSlow(ConfigError),
+    LineTooSlow(String),
     /// The device entered the measurement state.
     #[error("measuring: {0}")]
     Measuring(Identity),

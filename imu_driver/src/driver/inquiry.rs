@@ -9,7 +9,7 @@ use crate::protocol::{
     Configuration, DeviceError, DeviceId, Frame, MessageId, OutputEntry,
     configuration::{
         firmware_from_data, output_configuration_from_data, output_configuration_to_data,
-        text_from_data,
+        period_and_skip, text_from_data,
     },
 };
 use rig_model::Stamp;
@@ -200,8 +200,7 @@ impl Driver {
         }
         self.event(Event::Rejected { what: request.message, error });
         if request.message == MessageId::GO_TO_MEASUREMENT {
-            let pause = self.connection.grow_pause();
-            self.call(pause);
+            self.call_after_pause();
         } else {
             self.proceed();
         }
@@ -302,8 +301,7 @@ impl Driver {
             return self.send_request(Request::ask(MessageId::GO_TO_MEASUREMENT));
         }
         self.event(Event::Unanswered(MessageId::REQ_CONFIGURATION));
-        let pause = self.connection.grow_pause();
-        self.call(pause);
+        self.call_after_pause();
     }
 
     fn send_request(&mut self, request: Request) {
@@ -325,34 +323,27 @@ impl Driver {
             let data = output_configuration_to_data(&wanted);
             return vec![Setting { message, data, wanted: listed(&wanted), found: listed(found) }];
         }
-        let Some(found) = self.identity.configuration else {
+        let period_and_skip = period_and_skip(self.config.rate);
+        let Some((found, (period, skip))) = self.identity.configuration.zip(period_and_skip) else {
             return Vec::new();
         };
-        let word = |message, wanted: u16, found: u16| Setting {
+        let wanted = Configuration { period, skip, format: self.config.legacy_format(), ..found };
+        let setting = |message, data: &[u8], text: fn(&Configuration) -> String| Setting {
             message,
-            data: wanted.to_be_bytes().to_vec(),
-            wanted: wanted.to_string(),
-            found: found.to_string(),
+            data: data.to_vec(),
+            wanted: text(&wanted),
+            found: text(&found),
         };
-        let (period, skip) = self.config.period_and_skip();
-        let format = self.config.legacy_format();
-        let (wanted_mode, found_mode) = (format.mode.bits(), found.format.mode.bits());
-        let (wanted, found_settings) = (format.settings.bits(), found.format.settings.bits());
+        let (mode, settings) = (wanted.format.mode.bits(), wanted.format.settings.bits());
         vec![
-            word(MessageId::PERIOD, period, found.period),
-            word(MessageId::OUTPUT_SKIP_FACTOR, skip, found.skip),
-            Setting {
-                message: MessageId::OUTPUT_MODE,
-                data: wanted_mode.to_be_bytes().to_vec(),
-                wanted: format!("{wanted_mode:04X}"),
-                found: format!("{found_mode:04X}"),
-            },
-            Setting {
-                message: MessageId::OUTPUT_SETTINGS,
-                data: wanted.to_be_bytes().to_vec(),
-                wanted: format!("{wanted:08X}"),
-                found: format!("{found_settings:08X}"),
-            },
+            setting(MessageId::PERIOD, &period.to_be_bytes(), |c| c.period.to_string()),
+            setting(MessageId::OUTPUT_SKIP_FACTOR, &skip.to_be_bytes(), |c| c.skip.to_string()),
+            setting(MessageId::OUTPUT_MODE, &mode.to_be_bytes(), |c| {
+                format!("{:04X}", c.format.mode.bits())
+            }),
+            setting(MessageId::OUTPUT_SETTINGS, &settings.to_be_bytes(), |c| {
+                format!("{:08X}", c.format.settings.bits())
+            }),
         ]
     }
 
@@ -361,16 +352,14 @@ impl Driver {
         if let Some(code) = self.config.set_baud {
             return [Request { message: MessageId::BAUD_RATE, data: vec![code] }].into();
         }
-        let settled = self.stream.settled_outputs(&self.config.outputs());
-        if self.config.leave_settings || settled.is_some_and(|found| self.has_outputs(found)) {
+        let settled = self.settled.as_ref().is_some_and(|(written, found)| {
+            *written == self.config.outputs() && self.identity.outputs.as_ref() == Some(found)
+        });
+        if self.config.leave_settings || settled {
             return VecDeque::new();
         }
         let differing = self.settings().into_iter().filter(|s| s.wanted != s.found);
         differing.map(|s| Request { message: s.message, data: s.data }).collect()
-    }
-
-    fn has_outputs(&self, outputs: &[OutputEntry]) -> bool {
-        self.identity.outputs.as_deref() == Some(outputs)
     }
 
     fn compare_read_back(&mut self) {
@@ -380,7 +369,7 @@ impl Driver {
             }
         }
         if let Some(found) = &self.identity.outputs {
-            self.stream.settle_outputs(self.config.outputs(), found.clone());
+            self.settled = Some((self.config.outputs(), found.clone()));
         }
     }
 
@@ -389,7 +378,7 @@ impl Driver {
         self.stream.begin(&self.identity, self.time.now);
         self.phase = Phase::Measuring;
         self.event(Event::Measuring(self.identity.clone()));
-        if self.stream.is_on_request() {
+        if self.stream.on_request {
             self.event(Event::OnRequestOnly);
         }
     }

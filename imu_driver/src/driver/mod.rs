@@ -20,12 +20,12 @@ mod inquiry;
 pub mod sample;
 mod stream;
 
-pub use config::{ConfigError, DriverConfig};
+pub use config::DriverConfig;
 pub use event::{Event, Identity, Severity};
 pub use sample::{Sample, sample_of};
 pub use stream::Statistics;
 
-use crate::protocol::{FrameParser, MessageId, frame::frame};
+use crate::protocol::{Frame, FrameParser, MessageId, OutputEntry, frame};
 use arrivals::Arrivals;
 use connection::{Calling, Connection};
 use inquiry::Inquiry;
@@ -152,6 +152,8 @@ pub struct Driver {
     /// Since when an incomplete frame is buffered, s.
     incomplete_since: Option<f64>,
     identity: Identity,
+    /// Output configuration as written and as read back; writing it again would wear the flash.
+    settled: Option<(Vec<OutputEntry>, Vec<OutputEntry>)>,
     stream: Stream,
     outputs: VecDeque<Output>,
 }
@@ -160,8 +162,8 @@ impl Driver {
     /// Creates a driver whose first output is [`Output::Open`].
     ///
     /// # Errors
-    /// [`ConfigError`] if a value is invalid.
-    pub fn new(config: DriverConfig) -> Result<Self, ConfigError> {
+    /// As [`DriverConfig::check`].
+    pub fn new(config: DriverConfig) -> Result<Self, String> {
         config.check()?;
         Ok(Self {
             connection: Connection::new(&config),
@@ -171,6 +173,7 @@ impl Driver {
             arrivals: Arrivals::new(),
             incomplete_since: None,
             identity: Identity::default(),
+            settled: None,
             stream: Stream::new(config.step_patience),
             outputs: VecDeque::new(),
             config,
@@ -253,13 +256,11 @@ impl Driver {
         // Moved out, because its frames borrow it while they are handled.
         let mut parser = std::mem::take(&mut self.parser);
         self.arrivals.received(parser.pushed() + bytes.len() as u64, arrival);
-        let mut rest = bytes;
         let mut any = false;
-        while !rest.is_empty() {
-            let buffered = parser.push(rest);
-            rest = rest.get(buffered..).unwrap_or_default();
-            any |= self.frames(&mut parser, arrival);
-        }
+        parser.parse(bytes, |frame| {
+            any = true;
+            self.frame(&frame, arrival);
+        });
         if any || parser.pending() == 0 {
             self.incomplete_since = None;
         }
@@ -269,42 +270,29 @@ impl Driver {
             let since = *self.incomplete_since.get_or_insert(self.time.now);
             if self.time.now - since > longest {
                 parser.give_up_candidate();
-                self.frames(&mut parser, arrival);
+                parser.parse(&[], |frame| self.frame(&frame, arrival));
                 self.incomplete_since = None;
             }
         }
         self.parser = parser;
     }
 
-    fn frames(&mut self, parser: &mut FrameParser, arrival: Stamp) -> bool {
-        let mut any = false;
-        while let Some(frame) = parser.next_frame() {
-            any = true;
-            if frame.message == MessageId::WAKE_UP {
-                self.woke_up();
-                continue;
-            }
-            match &mut self.phase {
-                Phase::Calling(calling) => {
-                    if frame.message == MessageId::GO_TO_CONFIG.ack() {
-                        self.begin_inquiry();
-                    } else {
-                        calling.frame_received(self.time.now);
-                    }
-                }
-                Phase::Asking(_) => self.reply(&frame, arrival),
-                Phase::Measuring => self.data(&frame, arrival),
-                Phase::Closed { .. } | Phase::Opening | Phase::Settling { .. } => {}
-            }
+    fn frame(&mut self, frame: &Frame<'_>, arrival: Stamp) {
+        if frame.message == MessageId::WAKE_UP {
+            self.write(MessageId::WAKE_UP_ACK, &[]);
+            self.event(Event::WokeUp);
+            // The device enters the config state; another GoToConfig is acknowledged at once.
+            return self.call(0.01);
         }
-        any
-    }
-
-    fn woke_up(&mut self) {
-        self.write(MessageId::WAKE_UP_ACK, &[]);
-        self.event(Event::WokeUp);
-        // The device enters the config state; another GoToConfig is acknowledged at once.
-        self.call(0.01);
+        match &mut self.phase {
+            Phase::Calling(_) if frame.message == MessageId::GO_TO_CONFIG.ack() => {
+                self.begin_inquiry();
+            }
+            Phase::Calling(calling) => calling.frame_received(self.time.now),
+            Phase::Asking(_) => self.reply(frame, arrival),
+            Phase::Measuring => self.data(frame, arrival),
+            Phase::Closed { .. } | Phase::Opening | Phase::Settling { .. } => {}
+        }
     }
 
     fn tick(&mut self) {

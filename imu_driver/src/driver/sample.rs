@@ -56,8 +56,7 @@ pub fn sample_of(m: &Measurement, stamp: Stamp, periods: [f64; 2]) -> Sample {
         .and_then(finite)
         .or_else(|| Some(rotation_of(m.delta_orientation?)?.scaled_axis() / periods[1]))
         .filter(|rate| rate.iter().all(|x| x.is_finite()));
-    let orientation = m
-        .orientation
+    let orientation = m.orientations[0]
         .as_ref()
         .and_then(enu_from_imu)
         .map(|enu_from_imu| OrientationSample { enu_from_imu, covariance: None });

@@ -5,8 +5,8 @@ use crate::{
     clock_fit::ClockFit,
     device_time::DeviceTime,
     protocol::{
-        Decoder, DeviceError, Frame, MessageId, OutputEntry, ParserCounts, Status,
-        configuration::message_rate, mtdata2::xdi,
+        Decoder, DeviceError, Frame, MessageId, ParserCounts, Status, configuration::message_rate,
+        mtdata2::xdi,
     },
 };
 use rig_model::Stamp;
@@ -56,14 +56,13 @@ pub(super) struct Stream {
     /// Device time (ns) and sample, until the clock fit has settled.
     waiting: VecDeque<(i64, Sample)>,
     last_data: f64,
-    /// The device sends on request only: silence is no fault of the connection.
-    on_request: bool,
+    /// The device sends on request only, which the driver never makes: silence is no fault of the
+    /// connection.
+    pub on_request: bool,
     unreadable_in_a_row: u32,
     inertial_missing: u32,
     drift_reported_at: f64,
     statistics: Statistics,
-    /// Output configuration written and read back; writing it again would wear the flash.
-    settled: Option<(Vec<OutputEntry>, Vec<OutputEntry>)>,
 }
 
 impl Stream {
@@ -80,7 +79,6 @@ impl Stream {
             inertial_missing: 0,
             drift_reported_at: f64::NEG_INFINITY,
             statistics: Statistics::default(),
-            settled: None,
         }
     }
 
@@ -117,23 +115,10 @@ impl Stream {
         }
     }
 
-    /// Whether the device sends on request only, which the driver never makes.
-    pub(super) fn is_on_request(&self) -> bool {
-        self.on_request
-    }
-
     /// Time without data, s, if it exceeds the limit.
     pub(super) fn silent_for(&self, now: f64) -> Option<f64> {
         let silent = now - self.last_data;
         (!self.on_request && silent > SILENCE.max(5.0 * self.time.period())).then_some(silent)
-    }
-
-    pub(super) fn settled_outputs(&self, wanted: &[OutputEntry]) -> Option<&Vec<OutputEntry>> {
-        self.settled.as_ref().filter(|(written, _)| written == wanted).map(|(_, found)| found)
-    }
-
-    pub(super) fn settle_outputs(&mut self, wanted: Vec<OutputEntry>, found: Vec<OutputEntry>) {
-        self.settled = Some((wanted, found));
     }
 }
 
@@ -195,14 +180,12 @@ impl Driver {
         let statistics = &mut stream.statistics;
         statistics.lost += placed.lost;
         statistics.status = sample.status.or(statistics.status);
-        let missing = if sample.imu.is_some() {
+        if sample.imu.is_some() {
             statistics.samples += 1;
             stream.inertial_missing = 0;
-            false
         } else {
             stream.inertial_missing += 1;
-            stream.inertial_missing == INERTIAL_MISSING_LIMIT
-        };
+        }
         if placed.restarted {
             self.event(Event::DeviceRestarted);
         }
@@ -212,7 +195,7 @@ impl Driver {
         if let Some(seconds) = stepped {
             self.event(Event::ClockStepped(seconds));
         }
-        if missing {
+        if self.stream.inertial_missing == INERTIAL_MISSING_LIMIT {
             self.event(Event::NoInertialData);
         }
         let (now, stream) = (self.time.now, &mut self.stream);
@@ -239,6 +222,7 @@ impl Driver {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::protocol::OutputEntry;
 
     #[test]
     fn increments_have_the_period_of_their_own_output() {

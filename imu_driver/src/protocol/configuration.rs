@@ -11,7 +11,7 @@ use std::fmt;
 /// Resolution of the sampling period, Hz.
 pub const TICKS_PER_SECOND: f64 = 115_200.0;
 /// Length of the data of a Configuration message for one device, bytes.
-pub const CONFIGURATION_LENGTH: usize = 118;
+const CONFIGURATION_LENGTH: usize = 118;
 
 /// Device identifier: 32 bits, 64 on the newest devices.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -67,11 +67,8 @@ impl Configuration {
     /// # Errors
     /// [`DecodeError::Length`] unless they have 118 bytes (a chain of several devices has more).
     pub fn from_data(data: &[u8]) -> Result<Self, DecodeError> {
-        let error = DecodeError::Length { found: data.len(), expected: CONFIGURATION_LENGTH };
-        if data.len() != CONFIGURATION_LENGTH {
-            return Err(error);
-        }
-        Self::read(data).ok_or(error)
+        let expected = CONFIGURATION_LENGTH;
+        Self::read(data).ok_or(DecodeError::Length { found: data.len(), expected })
     }
 
     fn read(data: &[u8]) -> Option<Self> {
@@ -79,7 +76,7 @@ impl Configuration {
         r.take(4)?;
         let (period, skip) = (r.u16()?, r.u16()?);
         r.take(90)?;
-        Some(Self {
+        let configuration = Self {
             period,
             skip,
             device_id: DeviceId(u64::from(r.u32()?)),
@@ -88,7 +85,8 @@ impl Configuration {
                 mode: OutputMode::from_bits_retain(r.u16()?),
                 settings: OutputSettings::from_bits_retain(r.u32()?),
             },
-        })
+        };
+        (data.len() == CONFIGURATION_LENGTH).then_some(configuration)
     }
 
     /// Data of a Configuration message (118 bytes); the other fields are zero.

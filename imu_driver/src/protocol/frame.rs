@@ -77,11 +77,9 @@ impl FrameParser {
         }
     }
 
-    /// Buffers bytes from the front of `bytes` and returns their number.
-    ///
-    /// All of them unless the buffer is full. After [`FrameParser::next_frame`] has returned
-    /// `None`, there is space for at least 8 KiB.
-    pub fn push(&mut self, bytes: &[u8]) -> usize {
+    /// Buffers bytes from the front of `bytes` and returns their number: all of them unless the
+    /// buffer is full. After `advance` has returned `None`, there is space for at least 8 KiB.
+    fn push(&mut self, bytes: &[u8]) -> usize {
         if self.start == self.end {
             (self.start, self.end) = (0, 0);
         } else if self.buffer.len() - self.end < bytes.len() {
@@ -99,23 +97,21 @@ impl FrameParser {
         n
     }
 
-    /// Returns the next complete frame among the buffered bytes.
-    pub fn next_frame(&mut self) -> Option<Frame<'_>> {
-        self.advance(false)
-    }
-
-    /// [`FrameParser::next_frame`] at the end of a stream: searches inside an incomplete frame.
+    /// Returns the next frame at the end of a stream: searches inside an incomplete one.
     pub fn next_frame_at_end(&mut self) -> Option<Frame<'_>> {
         self.advance(true)
     }
 
-    /// Calls `handle` with every frame that `bytes` completes.
+    /// Calls `handle` with every frame that is complete with `bytes`, which may be empty.
     pub fn parse(&mut self, mut bytes: &[u8], mut handle: impl FnMut(Frame<'_>)) {
-        while !bytes.is_empty() {
+        loop {
             let n = self.push(bytes);
             bytes = bytes.get(n..).unwrap_or_default();
-            while let Some(frame) = self.next_frame() {
+            while let Some(frame) = self.advance(false) {
                 handle(frame);
+            }
+            if bytes.is_empty() {
+                return;
             }
         }
     }
@@ -276,10 +272,8 @@ mod tests {
         let mut cut = vec![0xFA, 0xFF, 0x32, 0x40];
         cut.extend(frame(MessageId::GO_TO_CONFIG.ack(), &[]));
         assert_eq!(frames(&mut parser, &cut), []);
-        assert_eq!(
-            parser.next_frame_at_end().map(|f| f.message),
-            Some(MessageId::GO_TO_CONFIG.ack())
-        );
+        let inside = parser.next_frame_at_end().map(|f| f.message);
+        assert_eq!(inside, Some(MessageId::GO_TO_CONFIG.ack()));
         assert_eq!(parser.next_frame_at_end(), None);
         assert_eq!(parser.pending(), 0);
     }

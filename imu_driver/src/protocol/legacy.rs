@@ -38,7 +38,7 @@ bitflags! {
 bitflags! {
     /// OutputSettings: format of the data that a legacy device outputs.
     ///
-    /// Bits 3:2 are the [`OrientationForm`], bits 9:8 the [`NumberFormat`].
+    /// Bits 3:2 are the form of the orientation, bits 9:8 the [`NumberFormat`].
     #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
     pub struct OutputSettings: u32 {
         /// Send the sample counter.
@@ -62,28 +62,6 @@ bitflags! {
     }
 }
 
-/// Form in which a legacy device outputs its orientation.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum OrientationForm {
-    /// Four numbers w, x, y, z.
-    Quaternion,
-    /// Roll, pitch, yaw, degrees.
-    Euler,
-    /// Nine numbers.
-    Matrix,
-}
-
-impl OrientationForm {
-    /// The identity in this form.
-    const fn identity(self) -> &'static [f64] {
-        match self {
-            Self::Quaternion => &[1.0, 0.0, 0.0, 0.0],
-            Self::Euler => &[0.0; 3],
-            Self::Matrix => &[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-        }
-    }
-}
-
 impl OutputSettings {
     /// Number format of bits 9:8.
     pub const fn number_format(self) -> NumberFormat {
@@ -95,12 +73,12 @@ impl OutputSettings {
         Self::from_bits_retain((self.bits() & !0x300) | (format.bits() << 8))
     }
 
-    /// Orientation form of bits 3:2; `None` for the invalid code 3.
-    pub const fn orientation_form(self) -> Option<OrientationForm> {
+    /// The identity in the form of bits 3:2; `None` for the invalid code 3.
+    pub const fn identity(self) -> Option<Attitude> {
         match (self.bits() >> 2) & 3 {
-            0 => Some(OrientationForm::Quaternion),
-            1 => Some(OrientationForm::Euler),
-            2 => Some(OrientationForm::Matrix),
+            0 => Some(Attitude::Quaternion([1.0, 0.0, 0.0, 0.0])),
+            1 => Some(Attitude::Euler([0.0; 3])),
+            2 => Some(Attitude::Matrix([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])),
             _ => None,
         }
     }
@@ -146,7 +124,7 @@ impl LegacyFormat {
         use OutputMode as M;
         use OutputSettings as S;
         let size = self.settings.number_format().size();
-        let attitude = self.settings.orientation_form().map_or(0, |form| form.identity().len());
+        let attitude = self.settings.identity().map_or(0, |identity| identity.numbers().len());
         let with = |mode: M, length: usize| if self.mode.contains(mode) { length } else { 0 };
         let set = |bit: S, length: usize| if self.settings.contains(bit) { length } else { 0 };
         let unless = |bit: S, length: usize| if self.settings.contains(bit) { 0 } else { length };
@@ -180,14 +158,11 @@ impl LegacyFormat {
     /// [`DecodeError::Length`] if the data do not have the length of the format.
     #[inline]
     pub fn decode(&self, data: &[u8]) -> Result<Measurement, DecodeError> {
-        let expected = self.data_length();
-        if data.len() != expected {
-            return Err(DecodeError::Length { found: data.len(), expected });
-        }
-        // The length was checked, so no field can be missing.
-        self.read(data).ok_or(DecodeError::Length { found: data.len(), expected })
+        self.read(data)
+            .ok_or_else(|| DecodeError::Length { found: data.len(), expected: self.data_length() })
     }
 
+    /// `None` if bytes are missing or left.
     fn read(&self, data: &[u8]) -> Option<Measurement> {
         let mut m = Measurement {
             other_inertial: self.mode.contains(OutputMode::RAW_INERTIAL),
@@ -208,19 +183,19 @@ impl LegacyFormat {
                 Item::AngularVelocity => m.angular_velocity = Some(r.numbers(format)?),
                 Item::MagneticField => m.magnetic_field = Some(r.numbers(format)?),
                 Item::Orientation => {
-                    let attitude = match self.settings.orientation_form()? {
-                        OrientationForm::Quaternion => Attitude::Quaternion(r.numbers(format)?),
-                        OrientationForm::Euler => Attitude::Euler(r.numbers(format)?),
-                        OrientationForm::Matrix => Attitude::Matrix(r.numbers(format)?),
+                    let attitude = match self.settings.identity()? {
+                        Attitude::Quaternion(_) => Attitude::Quaternion(r.numbers(format)?),
+                        Attitude::Euler(_) => Attitude::Euler(r.numbers(format)?),
+                        Attitude::Matrix(_) => Attitude::Matrix(r.numbers(format)?),
                     };
                     let frame = self.settings.global_frame();
-                    m.orientation = Some(Orientation { attitude, frame });
+                    m.orientations[0] = Some(Orientation { attitude, frame });
                 }
                 Item::Status => m.status = Some(Status::from_bits_retain(u32::from(r.u8()?))),
                 Item::Counter => m.counter = Some(r.u16()?),
             }
         }
-        Some(m)
+        r.rest().is_empty().then_some(m)
     }
 
     /// Appends the data of one MTData message: the inverse of [`LegacyFormat::decode`].
@@ -241,9 +216,9 @@ impl LegacyFormat {
                 Item::AngularVelocity => write(&m.angular_velocity.unwrap_or_default(), out),
                 Item::MagneticField => write(&m.magnetic_field.unwrap_or_default(), out),
                 Item::Orientation => {
-                    let Some(form) = self.settings.orientation_form() else { continue };
-                    let identity = form.identity();
-                    let given = m.orientation.as_ref().map(|o| o.attitude.numbers());
+                    let Some(identity) = self.settings.identity() else { continue };
+                    let identity = identity.numbers();
+                    let given = m.orientations[0].as_ref().map(|o| o.attitude.numbers());
                     let fitting = given.filter(|numbers| numbers.len() == identity.len());
                     write(fitting.unwrap_or(identity), out);
                 }
@@ -265,10 +240,6 @@ mod tests {
         assert_eq!(LegacyFormat::STANDARD.data_length(), 0x36);
         assert_eq!(LegacyFormat::STANDARD.mode.bits(), 6);
         assert_eq!(LegacyFormat::STANDARD.settings.bits(), 1);
-    }
-
-    #[test]
-    fn data_of_another_length_are_rejected() {
         let error = LegacyFormat::STANDARD.decode(&[0; 53]).unwrap_err();
         assert_eq!(error, DecodeError::Length { found: 53, expected: 54 });
     }

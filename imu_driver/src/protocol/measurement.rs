@@ -81,10 +81,8 @@ pub struct Measurement {
     pub delta_orientation: Option<[f64; 4]>,
     /// Magnetic field, arbitrary unit (about 1 in the Earth's field).
     pub magnetic_field: Option<[f64; 3]>,
-    /// Orientation.
-    pub orientation: Option<Orientation>,
-    /// Further forms of the orientation in the same message.
-    pub further_orientations: [Option<Orientation>; 2],
+    /// Orientation, in up to three forms.
+    pub orientations: [Option<Orientation>; 3],
     /// Temperature, °C.
     pub temperature: Option<f64>,
     /// Status bits.
@@ -107,26 +105,15 @@ impl Measurement {
             || self.angular_velocity_hr.is_some()
             || self.delta_orientation.is_some()
             || self.magnetic_field.is_some()
-            || self.orientation.is_some()
+            || self.orientations[0].is_some()
             || self.other_inertial
     }
 
     /// Quaternion w, x, y, z, if the message contains one; other forms are not converted.
     pub fn quaternion(&self) -> Option<[f64; 4]> {
-        std::iter::once(&self.orientation).chain(&self.further_orientations).flatten().find_map(
-            |o| match o.attitude {
-                Attitude::Quaternion(q) => Some(q),
-                _ => None,
-            },
-        )
-    }
-
-    pub(super) fn add_orientation(&mut self, orientation: Orientation) {
-        let free = std::iter::once(&mut self.orientation)
-            .chain(&mut self.further_orientations)
-            .find(|slot| slot.is_none());
-        if let Some(slot) = free {
-            *slot = Some(orientation);
-        }
+        self.orientations.iter().flatten().find_map(|o| match o.attitude {
+            Attitude::Quaternion(q) => Some(q),
+            _ => None,
+        })
     }
 }

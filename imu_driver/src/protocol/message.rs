@@ -3,19 +3,21 @@
 use std::fmt;
 
 /// Message identifier (MID).
-#[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MessageId(pub u8);
 
 macro_rules! messages {
     ($($(#[$doc:meta])* $name:ident = $mid:literal, $text:literal;)*) => {
         impl MessageId {
             $($(#[$doc])* pub const $name: Self = Self($mid);)*
+        }
 
-            /// Name in the manual, for the message and its acknowledgement.
-            pub fn name(self) -> Option<&'static str> {
+        /// Name in the manual.
+        impl fmt::Display for MessageId {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
                 match self.0 {
-                    $($mid => Some($text),)*
-                    _ => None,
+                    $($mid => f.write_str($text),)*
+                    other => write!(f, "message {other:02X}"),
                 }
             }
         }
@@ -70,22 +72,6 @@ impl MessageId {
     /// Whether the message is a data message rather than a reply.
     pub fn is_data(self) -> bool {
         self == Self::MT_DATA || self == Self::MT_DATA2
-    }
-}
-
-impl fmt::Display for MessageId {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match (self.name(), Self(self.0.wrapping_sub(1)).name()) {
-            (Some(name), _) => f.write_str(name),
-            (None, Some(name)) => write!(f, "{name}'s acknowledgement"),
-            (None, None) => write!(f, "message {:02X}", self.0),
-        }
-    }
-}
-
-impl fmt::Debug for MessageId {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{:02X} ({self})", self.0)
     }
 }
 
@@ -152,8 +138,7 @@ mod tests {
 
     #[test]
     fn messages_and_errors_have_names() {
-        assert_eq!(MessageId(0xD1).to_string(), "SetOutputMode's acknowledgement");
-        assert_eq!(MessageId(0x32).to_string(), "MTData");
+        assert_eq!(MessageId::OUTPUT_MODE.to_string(), "SetOutputMode");
         assert_eq!(MessageId(0x77).to_string(), "message 77");
         assert!(DeviceError(0x29).to_string().contains("line can carry"));
     }

@@ -16,7 +16,7 @@ pub mod number;
 
 pub use configuration::{Configuration, DeviceId, OutputEntry};
 pub use frame::{Frame, FrameParser, ParserCounts, frame};
-pub use legacy::{LegacyFormat, OrientationForm, OutputMode, OutputSettings};
+pub use legacy::{LegacyFormat, OutputMode, OutputSettings};
 pub use measurement::{Attitude, GlobalFrame, Measurement, Orientation, Status};
 pub use message::{DeviceError, MessageId};
 pub use number::NumberFormat;

@@ -108,8 +108,9 @@ fn read_item(m: &mut Measurement, id: u16, r: &mut Reader<'_>) -> Option<()> {
         _ => None,
     };
     let attitude = |m: &mut Measurement, attitude| {
-        if let Some(frame) = frame {
-            m.add_orientation(Orientation { attitude, frame });
+        let free = m.orientations.iter_mut().find(|slot| slot.is_none());
+        if let (Some(frame), Some(slot)) = (frame, free) {
+            *slot = Some(Orientation { attitude, frame });
         }
     };
     match id & 0xFFF0 {
@@ -140,7 +141,8 @@ fn read_item(m: &mut Measurement, id: u16, r: &mut Reader<'_>) -> Option<()> {
     Some(())
 }
 
-/// Appends the items in `m`, with numbers in `format`: the inverse of [`decode`].
+/// Appends the items in `m`, with numbers in `format`: the inverse of [`decode`], without the
+/// increments and the high-rate channels, which the simulated IMU does not send.
 pub fn encode(m: &Measurement, format: NumberFormat, out: &mut Vec<u8>) {
     let bits = format.bits() as u16;
     fn head(out: &mut Vec<u8>, id: u16, size: usize) {
@@ -165,7 +167,7 @@ pub fn encode(m: &Measurement, format: NumberFormat, out: &mut Vec<u8>) {
     }
     words(out, xdi::SAMPLE_TIME_FINE, m.sample_time_fine);
     numbers(out, xdi::TEMPERATURE, m.temperature.as_ref().map(std::slice::from_ref));
-    for orientation in std::iter::once(&m.orientation).chain(&m.further_orientations).flatten() {
+    for orientation in m.orientations.iter().flatten() {
         let frame = match orientation.frame {
             GlobalFrame::EastNorthUp => 0,
             GlobalFrame::NorthEastDown => 4,
@@ -178,17 +180,12 @@ pub fn encode(m: &Measurement, format: NumberFormat, out: &mut Vec<u8>) {
         };
         numbers(out, id | frame, Some(orientation.attitude.numbers()));
     }
-    let vectors: [(u16, Option<&[f64]>); 7] = [
-        (xdi::DELTA_VELOCITY, m.delta_velocity.as_ref().map(|v| v.as_slice())),
-        (xdi::ACCELERATION, m.acceleration.as_ref().map(|v| v.as_slice())),
-        (xdi::ACCELERATION_HR, m.acceleration_hr.as_ref().map(|v| v.as_slice())),
-        (xdi::ANGULAR_VELOCITY, m.angular_velocity.as_ref().map(|v| v.as_slice())),
-        (xdi::DELTA_ORIENTATION, m.delta_orientation.as_ref().map(|v| v.as_slice())),
-        (xdi::ANGULAR_VELOCITY_HR, m.angular_velocity_hr.as_ref().map(|v| v.as_slice())),
-        (xdi::MAGNETIC_FIELD, m.magnetic_field.as_ref().map(|v| v.as_slice())),
-    ];
-    for (id, values) in vectors {
-        numbers(out, id, values);
+    for (id, vector) in [
+        (xdi::ACCELERATION, &m.acceleration),
+        (xdi::ANGULAR_VELOCITY, &m.angular_velocity),
+        (xdi::MAGNETIC_FIELD, &m.magnetic_field),
+    ] {
+        numbers(out, id, vector.as_ref().map(|v| v.as_slice()));
     }
     words(out, xdi::STATUS_WORD, m.status.map(|s| s.bits()));
 }
@@ -199,15 +196,16 @@ mod tests {
 
     #[test]
     fn the_length_follows_from_the_outputs() {
+        let orientation = Orientation {
+            attitude: Attitude::Quaternion([1.0, 0.0, 0.0, 0.0]),
+            frame: GlobalFrame::EastNorthUp,
+        };
         let m = Measurement {
             counter: Some(1),
             sample_time_fine: Some(2),
             acceleration: Some([0.0; 3]),
             temperature: Some(25.0),
-            orientation: Some(Orientation {
-                attitude: Attitude::Quaternion([1.0, 0.0, 0.0, 0.0]),
-                frame: GlobalFrame::EastNorthUp,
-            }),
+            orientations: [Some(orientation), None, None],
             status: Some(Status::empty()),
             ..Measurement::default()
         };

@@ -27,7 +27,7 @@ pub(super) struct Wire {
     /// A broken wire: nothing arrives.
     pub mute: bool,
     /// Bytes on their way to the host, with their time of arrival.
-    arrivals: VecDeque<(Stamp, Vec<u8>)>,
+    pub arrivals: VecDeque<(Stamp, Vec<u8>)>,
     next_burst: Option<Stamp>,
     /// State of a xorshift generator: the model has no clock or random source.
     random: u64,
@@ -45,11 +45,6 @@ impl Wire {
             random: 0x9E37_79B9_7F4A_7C15,
             just_opened: false,
         }
-    }
-
-    /// Removes everything on its way (power loss).
-    pub(super) fn clear(&mut self) {
-        self.arrivals.clear();
     }
 
     /// The host has opened the port: of a message in transmission it receives the end only.

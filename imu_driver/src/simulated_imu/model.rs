@@ -8,7 +8,7 @@ use crate::{
     orientation::enu_from_global,
     protocol::{
         Attitude, FrameParser, GlobalFrame, Measurement, MessageId, NumberFormat, Orientation,
-        OrientationForm, Status,
+        Status,
         configuration::TICKS_PER_SECOND,
         frame,
         mtdata2::{self, xdi},
@@ -62,7 +62,6 @@ pub struct SimulatedImu {
     /// The newest samples sent, with their true times.
     sent: VecDeque<SentSample>,
     pub(super) flash_writes: u32,
-    ignored_requests: u32,
 }
 
 impl SimulatedImu {
@@ -76,7 +75,6 @@ impl SimulatedImu {
         Self {
             wire: Wire::new(config.baud, now),
             counter: config.first_counter,
-            ignored_requests: config.ignored_requests,
             state,
             parser: FrameParser::new(),
             source,
@@ -102,8 +100,8 @@ impl SimulatedImu {
         let mut requests = Vec::new();
         self.parser.parse(bytes, |f| requests.push((f.message, f.data.to_vec())));
         for (message, data) in requests {
-            if self.ignored_requests > 0 {
-                self.ignored_requests -= 1;
+            if self.config.ignored_requests > 0 {
+                self.config.ignored_requests -= 1;
             } else {
                 self.answer(message, &data, now);
             }
@@ -129,7 +127,7 @@ impl SimulatedImu {
 
     /// Switches the device off and on: the settings in flash take effect, the counter restarts.
     pub fn power_cycle(&mut self, now: Stamp) {
-        self.wire.clear();
+        self.wire.arrivals.clear();
         self.replies.clear();
         self.config_at = None;
         self.parser.reset();
@@ -248,11 +246,15 @@ impl SimulatedImu {
         let sends =
             |id: u16| outputs.is_none_or(|outputs| outputs.iter().any(|o| o.id & 0xFFF0 == id));
         let settings = self.config.format.settings;
-        let (frame, form) = match outputs {
-            Some(_) => (GlobalFrame::EastNorthUp, Some(OrientationForm::Quaternion)),
-            None => (settings.global_frame(), settings.orientation_form()),
+        let frame = match outputs {
+            Some(_) => GlobalFrame::EastNorthUp,
+            None => settings.global_frame(),
         };
         let q = enu_from_global(frame).inverse() * s.enu_from_imu;
+        let orientation = settings
+            .identity()
+            .filter(|_| sends(xdi::QUATERNION))
+            .map(|form| Orientation { attitude: attitude(form, &q), frame });
         let ticks = (at.as_nanos() as f64 * (1.0 + self.config.clock_ppm * 1e-6) / 1e5).round();
         Measurement {
             counter: sends(xdi::COUNTER).then_some(self.counter),
@@ -262,9 +264,7 @@ impl SimulatedImu {
             angular_velocity: sends(xdi::ANGULAR_VELOCITY).then_some(s.angular_velocity.into()),
             magnetic_field: sends(xdi::MAGNETIC_FIELD).then_some(s.magnetic_field.into()),
             temperature: sends(xdi::TEMPERATURE).then_some(s.temperature),
-            orientation: form
-                .filter(|_| sends(xdi::QUATERNION))
-                .map(|form| Orientation { attitude: attitude(form, &q), frame }),
+            orientations: [orientation, None, None],
             status: sends(xdi::STATUS_WORD)
                 .then_some(Status::SELF_TEST_PASSED | Status::FILTER_VALID),
             ..Measurement::default()
@@ -292,14 +292,15 @@ impl SimulatedImu {
     }
 }
 
-fn attitude(form: OrientationForm, q: &UnitQuaternion<f64>) -> Attitude {
+/// Attitude in the form of another one.
+fn attitude(form: Attitude, q: &UnitQuaternion<f64>) -> Attitude {
     match form {
-        OrientationForm::Quaternion => Attitude::Quaternion([q.w, q.i, q.j, q.k]),
-        OrientationForm::Euler => {
+        Attitude::Quaternion(_) => Attitude::Quaternion([q.w, q.i, q.j, q.k]),
+        Attitude::Euler(_) => {
             let (roll, pitch, yaw) = q.euler_angles();
             Attitude::Euler([roll, pitch, yaw].map(f64::to_degrees))
         }
-        OrientationForm::Matrix => {
+        Attitude::Matrix(_) => {
             let m = q.to_rotation_matrix();
             let mut columns = [0.0; 9];
             columns.copy_from_slice(m.matrix().as_slice());

@@ -51,11 +51,11 @@ impl PtyImu {
         source: Source,
     ) -> io::Result<Self> {
         let link = link.into();
-        let port = Port::open(&link)?;
+        let port = open_port(&link)?;
         let (commands, received) = sync_channel(64);
         let thread = std::thread::Builder::new().name("simulated-imu".into()).spawn({
             let link = link.clone();
-            move || run(SimulatedImu::new(config, source, now()), Some(port), &link, &received)
+            move || run(SimulatedImu::new(config, source, now()), port, &link, &received)
         })?;
         Ok(Self { link, commands, thread: Some(thread) })
     }
@@ -104,55 +104,48 @@ impl Drop for PtyImu {
     }
 }
 
-struct Port {
-    master: OwnedFd,
+/// Opens a pseudo-terminal whose other end is the symbolic link `link`.
+fn open_port(link: &Path) -> io::Result<OwnedFd> {
+    // Not inherited by child processes, whose copy would keep an unplugged port open.
+    let port = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
+    grantpt(&port)?;
+    unlockpt(&port)?;
+    // Raw before it is opened; otherwise it would echo the bytes of the IMU.
+    let mut termios = tcgetattr(&port)?;
+    termios.make_raw();
+    tcsetattr(&port, OptionalActions::Now, &termios)?;
+    let flags = rustix::fs::fcntl_getfl(&port)?;
+    rustix::fs::fcntl_setfl(&port, flags | OFlags::NONBLOCK)?;
+    let name = ptsname(&port, Vec::new())?;
+    let target = PathBuf::from(String::from_utf8_lossy(name.as_bytes()).into_owned());
+    let _ = std::fs::remove_file(link);
+    std::os::unix::fs::symlink(target, link)?;
+    Ok(port)
 }
 
-impl Port {
-    fn open(link: &Path) -> io::Result<Self> {
-        // Not inherited by child processes, whose copy would keep an unplugged port open.
-        let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
-        grantpt(&master)?;
-        unlockpt(&master)?;
-        // Raw before it is opened; otherwise it would echo the bytes of the IMU.
-        let mut termios = tcgetattr(&master)?;
-        termios.make_raw();
-        tcsetattr(&master, OptionalActions::Now, &termios)?;
-        let flags = rustix::fs::fcntl_getfl(&master)?;
-        rustix::fs::fcntl_setfl(&master, flags | OFlags::NONBLOCK)?;
-        let name = ptsname(&master, Vec::new())?;
-        let target = PathBuf::from(String::from_utf8_lossy(name.as_bytes()).into_owned());
-        let _ = std::fs::remove_file(link);
-        std::os::unix::fs::symlink(target, link)?;
-        Ok(Self { master })
-    }
-
-    /// Line settings of the host, which both ends of a pseudo-terminal share.
-    fn line(&self) -> Line {
-        match tcgetattr(&self.master) {
-            Ok(t) => Line {
-                baud: t.output_speed(),
-                two_stop_bits: t.control_modes.contains(ControlModes::CSTOPB),
-            },
-            Err(_) => Line::CLOSED,
-        }
-    }
+/// Line settings of the host, which both ends of a pseudo-terminal share.
+fn line_of(port: &OwnedFd) -> Line {
+    tcgetattr(port).map_or(Line::CLOSED, |termios| Line {
+        baud: termios.output_speed(),
+        two_stop_bits: termios.control_modes.contains(ControlModes::CSTOPB),
+    })
 }
 
 /// Size of the kernel's buffers of a serial port, bytes (a pseudo-terminal has 4 KiB only); bytes
 /// beyond are lost, as on a line without flow control.
 const BACKLOG: usize = 64 << 10;
 
-fn write_out(port: &Port, backlog: &mut Vec<u8>) {
+fn write_out(port: &OwnedFd, backlog: &mut Vec<u8>) {
     while !backlog.is_empty() {
-        match rustix::io::write(&port.master, backlog) {
+        match rustix::io::write(port, backlog) {
             Ok(n) if n > 0 => drop(backlog.drain(..n.min(backlog.len()))),
             _ => return,
         }
     }
 }
 
-fn run(mut imu: SimulatedImu, mut port: Option<Port>, link: &Path, commands: &Receiver<Command>) {
+fn run(mut imu: SimulatedImu, port: OwnedFd, link: &Path, commands: &Receiver<Command>) {
+    let mut port = Some(port);
     let mut buffer = [0_u8; 4096];
     let mut backlog = Vec::new();
     let mut was_open = false;
@@ -163,7 +156,7 @@ fn run(mut imu: SimulatedImu, mut port: Option<Port>, link: &Path, commands: &Re
                     let _ = std::fs::remove_file(link);
                     port = None;
                 }
-                Command::Replug => port = Port::open(link).ok(),
+                Command::Replug => port = open_port(link).ok(),
                 Command::With(f) => f(&mut imu, now()),
                 Command::Stop => return,
             }
@@ -174,10 +167,10 @@ fn run(mut imu: SimulatedImu, mut port: Option<Port>, link: &Path, commands: &Re
             std::thread::sleep(Duration::from_millis(2));
             continue;
         };
-        let line = open.line();
+        let line = line_of(open);
         let mut open_by_host = true;
         loop {
-            match rustix::io::read(&open.master, &mut buffer) {
+            match rustix::io::read(open, &mut buffer) {
                 Ok(n) if n > 0 => imu.handle(buffer.get(..n).unwrap_or_default(), line, now()),
                 Err(rustix::io::Errno::IO) => {
                     // The port is not open.
@@ -205,7 +198,7 @@ fn run(mut imu: SimulatedImu, mut port: Option<Port>, link: &Path, commands: &Re
         let wait = imu.next_deadline().map_or(0.01, |at| at.seconds_since(now())).clamp(0.0, 0.01);
         if open_by_host {
             let timeout = Timespec { tv_sec: 0, tv_nsec: (wait * 1e9) as _ };
-            let _ = poll(&mut [PollFd::new(&open.master, PollFlags::IN)], Some(&timeout));
+            let _ = poll(&mut [PollFd::new(open, PollFlags::IN)], Some(&timeout));
         } else {
             std::thread::sleep(Duration::from_secs_f64(wait));
         }

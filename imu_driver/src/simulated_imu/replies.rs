@@ -96,7 +96,7 @@ impl SimulatedImu {
             MessageId::OUTPUT_SETTINGS if !modern => {
                 let bits = <[u8; 4]>::try_from(data).or(Err(PARAMETER_INVALID))?;
                 let settings = OutputSettings::from_bits_retain(u32::from_be_bytes(bits));
-                if settings.orientation_form().is_none() {
+                if settings.identity().is_none() {
                     return Err(PARAMETER_INVALID);
                 }
                 self.config.format.settings = settings;

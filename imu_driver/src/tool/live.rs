@@ -3,7 +3,7 @@
 use super::{Failure, seconds};
 use crate::{
     driver::{Driver, DriverConfig, Event, Identity, Severity},
-    protocol::{MessageId, OrientationForm, message::baud_code, mtdata2},
+    protocol::{Attitude, MessageId, message::baud_code, mtdata2},
     serial::{Port, Report, Runner, candidates},
 };
 use node_kit::{
@@ -92,14 +92,9 @@ pub struct Log {
 }
 
 #[allow(clippy::disallowed_methods, reason = "communication with a device runs in real time")]
-pub(super) fn now() -> Stamp {
+fn now() -> Stamp {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     Stamp::from_nanos(i64::try_from(since.as_nanos()).unwrap_or(i64::MAX))
-}
-
-#[allow(clippy::disallowed_methods, reason = "communication with a device runs in real time")]
-fn instant() -> Instant {
-    Instant::now()
 }
 
 /// Flag of a conversation that no signal ends.
@@ -107,6 +102,7 @@ static NEVER: AtomicBool = AtomicBool::new(false);
 
 /// Runs a driver for at most `seconds`, until `stop` is set or `handle` returns false; returns
 /// whether it did.
+#[allow(clippy::disallowed_methods, reason = "communication with a device runs in real time")]
 fn converse(
     line: &Line,
     config: DriverConfig,
@@ -118,19 +114,17 @@ fn converse(
     let config =
         DriverConfig { baud: line.baud.unwrap_or(0), two_stop_bits: line.two_stop_bits, ..config };
     let first_baud = config.first_baud();
-    let driver = Driver::new(config).map_err(|e| e.to_string())?;
-    let opened =
-        Port::open(&line.port, first_baud, line.two_stop_bits).map_err(|e| e.to_string())?;
-    let runner = Runner { port: line.port.clone(), driver, raw, opened: Some(opened) };
-    let end = instant() + Duration::from_secs_f64(seconds.clamp(0.0, 1e9));
-    let ended = AtomicBool::new(false);
+    let driver = Driver::new(config)?;
+    let opened = Some(Port::open(&line.port, first_baud, line.two_stop_bits)?);
+    let runner = Runner { port: line.port.clone(), driver, raw, opened };
+    let end = Instant::now() + Duration::from_secs_f64(seconds.clamp(0.0, 1e9));
+    let mut ended = false;
     let on_report = |report: Report| {
-        let go_on = handle(&report);
-        ended.store(!go_on, Ordering::Relaxed);
-        go_on
+        ended = !handle(&report);
+        !ended
     };
-    runner.run(now, || None, on_report, || instant() < end && !stop.load(Ordering::Relaxed));
-    Ok(ended.load(Ordering::Relaxed))
+    runner.run(now, || None, on_report, || Instant::now() < end && !stop.load(Ordering::Relaxed));
+    Ok(ended)
 }
 
 fn read_only() -> DriverConfig {
@@ -187,24 +181,17 @@ pub(super) fn find(arguments: &Find) -> Result<(), Failure> {
         ports = candidates();
     }
     if ports.is_empty() {
-        let remedy = "connect the IMU (and check `dmesg`), or give --port";
-        return Err(format!("no serial port found; {remedy}").into());
+        let reason = "no serial port found; connect the IMU (and check `dmesg`), or give --port";
+        return Err(reason.to_owned().into());
     }
     let mut any = false;
     for (port, adapter) in ports {
-        let line = Line {
-            port: port.clone(),
-            baud: None,
-            two_stop_bits: false,
-            timeout: arguments.timeout,
-        };
-        match identify(&line, read_only(), false) {
-            Ok(identity) => {
-                any = true;
-                outln!("{port} ({adapter}): {identity}")?;
-            }
-            Err(reason) => outln!("{port} ({adapter}): {reason}")?,
-        }
+        let timeout = arguments.timeout;
+        let line = Line { port, baud: None, two_stop_bits: false, timeout };
+        let found = identify(&line, read_only(), false);
+        any |= found.is_ok();
+        let text = found.map_or_else(|reason| reason.to_string(), |identity| identity.to_string());
+        outln!("{} ({adapter}): {text}", line.port)?;
     }
     if any {
         Ok(())
@@ -226,10 +213,10 @@ fn show(identity: &Identity) -> Result<(), Failure> {
             None => outln!("rate: on request only (period {}, skip {})", c.period, c.skip)?,
         }
         if identity.outputs.is_none() {
-            let form = match c.format.settings.orientation_form() {
-                Some(OrientationForm::Quaternion) => "quaternion",
-                Some(OrientationForm::Euler) => "Euler angles",
-                Some(OrientationForm::Matrix) => "matrix",
+            let form = match c.format.settings.identity() {
+                Some(Attitude::Quaternion(_)) => "quaternion",
+                Some(Attitude::Euler(_)) => "Euler angles",
+                Some(Attitude::Matrix(_)) => "matrix",
                 None => "none",
             };
             outln!(
@@ -265,7 +252,7 @@ pub(super) fn configure(arguments: &Configure) -> Result<(), Failure> {
     let mut line = arguments.line.clone();
     // Before anything is written: the line must carry the messages at its last baud rate.
     let baud = arguments.set_baud.or(line.baud).unwrap_or(0);
-    DriverConfig { baud, ..config.clone() }.check().map_err(|e| e.to_string())?;
+    DriverConfig { baud, ..config.clone() }.check()?;
     if let Some(baud) = arguments.set_baud {
         set_baud(&line, baud)?;
         line.baud = Some(baud);

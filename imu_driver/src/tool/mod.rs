@@ -83,6 +83,8 @@ impl From<String> for Failure {
     }
 }
 
+const NAME: &str = "volant imu";
+
 /// Runs the command of the process's command line and returns the exit status.
 pub fn main() -> ExitCode {
     let arguments = match Arguments::try_parse() {
@@ -104,13 +106,6 @@ pub fn main() -> ExitCode {
         errln!("{NAME}: {error}");
         return ExitCode::FAILURE;
     }
-    run(arguments)
-}
-
-const NAME: &str = "volant imu";
-
-/// Runs the command and returns the exit status.
-fn run(arguments: Arguments) -> ExitCode {
     let done = match arguments.command {
         Command::Find(find) => live::find(&find),
         Command::Info(line) => live::info(&line),

@@ -101,6 +101,13 @@ impl Bench {
         }
     }
 
+    /// Driver and IMU after `seconds`.
+    pub fn after(seconds: f64, driver: DriverConfig, imu: SimulatedImuConfig) -> Self {
+        let mut bench = Self::new(driver, imu);
+        bench.run(seconds);
+        bench
+    }
+
     /// Simulates `seconds`.
     pub fn run(&mut self, seconds: f64) {
         let end = self.now.plus_seconds(seconds);

@@ -18,8 +18,7 @@ fn an_mti_100_with_legacy_messages_has_the_rate_of_its_configuration() {
         ..SimulatedImuConfig::default()
     };
     let driver = DriverConfig { leave_settings: true, baud: 460_800, ..DriverConfig::default() };
-    let mut bench = Bench::new(driver, imu);
-    bench.run(12.0);
+    let mut bench = Bench::after(12.0, driver, imu);
     assert_eq!(bench.driver.identity().outputs, Some(vec![]), "{:?}", bench.events);
     assert!((bench.driver.statistics().rate - 400.0).abs() < 1e-9);
     assert_eq!(bench.imu.flash_writes(), 0);
@@ -30,8 +29,7 @@ fn an_mti_100_with_legacy_messages_has_the_rate_of_its_configuration() {
 #[test]
 fn settings_that_the_line_found_cannot_carry_are_not_written() {
     let driver = DriverConfig { baud: 0, rate: 400.0, ..DriverConfig::default() };
-    let mut bench = Bench::new(driver.clone(), SimulatedImuConfig::default());
-    bench.run(8.0);
+    let bench = Bench::after(8.0, driver.clone(), SimulatedImuConfig::default());
     assert_eq!(bench.imu.flash_writes(), 0, "{:?}", bench.events);
     assert!(!bench.driver.is_measuring());
     let is_slow = |e: &&Event| matches!(e, Event::LineTooSlow(_));
@@ -43,22 +41,19 @@ fn settings_that_the_line_found_cannot_carry_are_not_written() {
         ..SimulatedImuConfig::default()
     };
     let faster = DriverConfig { rate: 150.0, ..DriverConfig::default() };
-    let mut other = Bench::new(faster.clone(), modern.clone());
-    other.run(3.0);
+    let other = Bench::after(3.0, faster.clone(), modern.clone());
     let slow = other.events.iter().find(is_slow).unwrap().to_string();
     assert!(slow.contains("121500 baud") && other.imu.flash_writes() == 0, "{slow}");
     // Nor does the device begin to send them.
     let leave = DriverConfig { leave_settings: true, ..DriverConfig::default() };
-    let mut other =
-        Bench::new(leave, SimulatedImuConfig { outputs: Some(faster.outputs()), ..modern });
-    other.run(3.0);
+    let other =
+        Bench::after(3.0, leave, SimulatedImuConfig { outputs: Some(faster.outputs()), ..modern });
     assert!(!other.driver.is_measuring(), "{:?}", other.events);
     // The device is called again, at the baud rate at which it answers.
     assert!(bench.bauds.is_empty(), "{:?}", bench.bauds);
     // A line that carries them.
     let imu = SimulatedImuConfig { baud: 460_800, ..SimulatedImuConfig::default() };
-    let mut bench = Bench::new(driver, imu);
-    bench.run(4.0);
+    let bench = Bench::after(4.0, driver, imu);
     assert!(bench.driver.is_measuring(), "{:?}", bench.events);
 }
 
@@ -68,8 +63,7 @@ fn a_device_that_sends_but_does_not_answer_is_no_wrong_baud_rate() {
     for baud in [0, 115_200] {
         let driver = DriverConfig { baud, ..DriverConfig::default() };
         let imu = SimulatedImuConfig { needs_two_stop_bits: true, ..SimulatedImuConfig::default() };
-        let mut bench = Bench::new(driver, imu);
-        bench.run(12.0);
+        let bench = Bench::after(12.0, driver, imu);
         let event = bench.events.iter().find(|e| matches!(e, Event::NoAnswer { .. })).unwrap();
         let text = event.to_string();
         assert!(text.contains("valid messages at 115200 baud"), "{text}");
@@ -81,15 +75,13 @@ fn a_device_that_sends_but_does_not_answer_is_no_wrong_baud_rate() {
 fn a_device_that_sends_on_request_only_is_named_once() {
     let imu = SimulatedImuConfig { skip: u16::MAX, ..SimulatedImuConfig::default() };
     let driver = DriverConfig { leave_settings: true, ..DriverConfig::default() };
-    let mut bench = Bench::new(driver, imu.clone());
-    bench.run(10.0);
+    let bench = Bench::after(10.0, driver, imu.clone());
     assert!(bench.samples.is_empty());
     assert!(!bench.has(|e| matches!(e, Event::Silent(_))), "{:?}", bench.events);
     let named = bench.events.iter().filter(|e| **e == Event::OnRequestOnly).count();
     assert_eq!(named, 1, "{:?}", bench.events);
     // The driver sets the skip factor.
-    let mut bench = Bench::new(DriverConfig::default(), imu);
-    bench.run(3.0);
+    let bench = Bench::after(3.0, DriverConfig::default(), imu);
     assert!(bench.samples.len() > 150, "{:?}", bench.events);
     assert!(!bench.has(|e| *e == Event::OnRequestOnly));
 }
@@ -99,8 +91,7 @@ fn messages_without_inertial_data_are_reported_after_every_connection() {
     let mut imu = SimulatedImuConfig::default();
     imu.format.mode = OutputMode::ORIENTATION;
     let driver = DriverConfig { leave_settings: true, ..DriverConfig::default() };
-    let mut bench = Bench::new(driver, imu);
-    bench.run(3.0);
+    let mut bench = Bench::after(3.0, driver, imu);
     bench.replug(0.2, 3.0);
     let reports = bench.events.iter().filter(|e| **e == Event::NoInertialData).count();
     assert_eq!(reports, 2, "{:?}", bench.events);
@@ -111,8 +102,7 @@ fn rejected_requests_are_repeated_after_growing_pauses() {
     // Error 0x29: the baud rate is too low for the data.
     let driver = DriverConfig { leave_settings: true, ..DriverConfig::default() };
     let imu = SimulatedImuConfig { period: 288, ..SimulatedImuConfig::default() };
-    let mut bench = Bench::new(driver, imu);
-    bench.run(30.0);
+    let bench = Bench::after(30.0, driver, imu);
     let event = Event::Rejected { what: MessageId::GO_TO_MEASUREMENT, error: DeviceError(0x29) };
     let rejected = bench.events.iter().filter(|e| **e == event).count();
     assert!((20..35).contains(&rejected), "{rejected}");

@@ -13,8 +13,7 @@ use imu_driver::{
 
 #[test]
 fn factory_settings_are_changed_once_and_the_flash_is_not_written_again() {
-    let mut bench = Bench::new(DriverConfig::default(), SimulatedImuConfig::default());
-    bench.run(2.0);
+    let mut bench = Bench::after(2.0, DriverConfig::default(), SimulatedImuConfig::default());
     assert!(bench.driver.is_measuring(), "{:?}", bench.events);
     assert!(bench.has(|e| *e == Event::Set(MessageId::OUTPUT_SETTINGS)));
     assert_eq!(bench.imu.flash_writes(), 1);
@@ -25,8 +24,7 @@ fn factory_settings_are_changed_once_and_the_flash_is_not_written_again() {
     assert_eq!(identity.firmware, "2.6.0");
     // The same device again: nothing differs.
     let config = bench.imu.config().clone();
-    let mut bench = Bench::new(DriverConfig::default(), config);
-    bench.run(2.0);
+    let bench = Bench::after(2.0, DriverConfig::default(), config);
     assert!(bench.samples.len() > 130);
     assert_eq!(bench.imu.flash_writes(), 0);
 }
@@ -42,8 +40,7 @@ fn every_setting_is_applied() {
     ] {
         let baud = driver.baud;
         let imu = SimulatedImuConfig { baud, period: 2304, ..SimulatedImuConfig::default() };
-        let mut bench = Bench::new(driver.clone(), imu);
-        bench.run(3.0);
+        let mut bench = Bench::after(3.0, driver.clone(), imu);
         let configuration = bench.imu.config().configuration();
         assert_eq!(configuration.rate(), Some(expected_rate));
         assert_eq!(configuration.format, driver.legacy_format());
@@ -60,8 +57,7 @@ fn every_setting_is_applied() {
 fn a_device_at_another_baud_rate_is_found_by_scanning() {
     let driver = DriverConfig { baud: 0, ..DriverConfig::default() };
     let imu = SimulatedImuConfig { baud: 460_800, ..SimulatedImuConfig::default() };
-    let mut bench = Bench::new(driver, imu);
-    bench.run(4.0);
+    let mut bench = Bench::after(4.0, driver, imu);
     assert!(bench.driver.is_measuring(), "{:?}", bench.events);
     assert_eq!(bench.bauds, [921_600, 460_800]);
     assert_eq!(bench.driver.identity().baud, 460_800);
@@ -74,14 +70,12 @@ fn a_device_at_another_baud_rate_is_found_by_scanning() {
 #[test]
 fn a_wrong_baud_rate_is_reported_and_two_stop_bits_are_sent() {
     let imu = SimulatedImuConfig { baud: 57_600, ..SimulatedImuConfig::default() };
-    let mut bench = Bench::new(DriverConfig::default(), imu);
-    bench.run(4.0);
+    let bench = Bench::after(4.0, DriverConfig::default(), imu);
     let garbage = bench.has(|e| matches!(e, Event::NoAnswer { garbage: true, .. }));
     assert!(garbage, "{:?}", bench.events);
     let imu = SimulatedImuConfig { needs_two_stop_bits: true, ..SimulatedImuConfig::default() };
     let driver = DriverConfig { two_stop_bits: true, ..DriverConfig::default() };
-    let mut bench = Bench::new(driver, imu);
-    bench.run(2.0);
+    let mut bench = Bench::after(2.0, driver, imu);
     assert!(bench.driver.is_measuring());
     bench.check_truth(0.3e-3);
 }
@@ -89,8 +83,7 @@ fn a_wrong_baud_rate_is_reported_and_two_stop_bits_are_sent() {
 #[test]
 fn the_driver_recovers_from_power_up_and_brown_out() {
     let imu = SimulatedImuConfig { already_measuring: false, ..SimulatedImuConfig::default() };
-    let mut bench = Bench::new(DriverConfig::default(), imu);
-    bench.run(2.0);
+    let mut bench = Bench::after(2.0, DriverConfig::default(), imu);
     assert!(bench.driver.is_measuring(), "{:?}", bench.events);
     let before = bench.samples.len();
     bench.imu.power_cycle(bench.now);
@@ -111,8 +104,7 @@ fn slow_acknowledgements_and_lost_requests_are_handled() {
             config_ack_delay: 0.3,
             ..SimulatedImuConfig::default()
         };
-        let mut bench = Bench::new(DriverConfig::default(), imu);
-        bench.run(25.0);
+        let mut bench = Bench::after(25.0, DriverConfig::default(), imu);
         assert!(bench.driver.is_measuring(), "{ack_delay} {ignored_requests}: {:?}", bench.events);
         let configuration = bench.imu.config().configuration();
         assert_eq!(configuration.format, DriverConfig::default().legacy_format());
@@ -122,8 +114,7 @@ fn slow_acknowledgements_and_lost_requests_are_handled() {
 
 #[test]
 fn after_replugging_samples_resume_and_no_frames_are_mixed() {
-    let mut bench = Bench::new(DriverConfig::default(), SimulatedImuConfig::default());
-    bench.run(3.0);
+    let mut bench = Bench::after(3.0, DriverConfig::default(), SimulatedImuConfig::default());
     for outage in [0.05, 1.0, 30.0] {
         let before = bench.samples.len();
         bench.replug(outage, 2.5);
@@ -140,8 +131,7 @@ fn after_replugging_samples_resume_and_no_frames_are_mixed() {
 
 #[test]
 fn a_silent_device_is_called_until_it_answers() {
-    let mut bench = Bench::new(DriverConfig::default(), SimulatedImuConfig::default());
-    bench.run(3.0);
+    let mut bench = Bench::after(3.0, DriverConfig::default(), SimulatedImuConfig::default());
     bench.imu.set_mute(true);
     bench.run(20.0);
     assert!(bench.has(|e| matches!(e, Event::Silent(_))));
@@ -159,8 +149,7 @@ fn a_silent_device_is_called_until_it_answers() {
 
 #[test]
 fn garbage_between_frames_loses_no_other_frames() {
-    let mut bench = Bench::new(DriverConfig::default(), SimulatedImuConfig::default());
-    bench.run(2.0);
+    let mut bench = Bench::after(2.0, DriverConfig::default(), SimulatedImuConfig::default());
     let before = bench.samples.len();
     for k in 0..50_u8 {
         // Noise, invalid preambles, a header with 8 KiB, half a frame, an unexpected reply.
@@ -185,8 +174,7 @@ fn an_mtdata2_device_is_set_up_by_its_output_configuration() {
         ..SimulatedImuConfig::default()
     };
     let driver = DriverConfig { temperature: true, status: true, ..DriverConfig::default() };
-    let mut bench = Bench::new(driver.clone(), imu);
-    bench.run(3.0);
+    let mut bench = Bench::after(3.0, driver.clone(), imu);
     assert_eq!(bench.imu.config().outputs, Some(driver.outputs()), "{:?}", bench.events);
     assert!(bench.driver.is_measuring(), "{:?}", bench.events);
     assert!(bench.samples.last().unwrap().status.unwrap().contains(Status::SELF_TEST_PASSED));
@@ -204,8 +192,7 @@ fn legacy_orientation_in_north_east_down_is_converted() {
     let euler = OutputSettings::from_bits_retain(1 << 2);
     imu.format.settings = OutputSettings::NED | OutputSettings::COUNTER | euler;
     let driver = DriverConfig { leave_settings: true, ..DriverConfig::default() };
-    let mut bench = Bench::new(driver, imu);
-    bench.run(2.0);
+    let mut bench = Bench::after(2.0, driver, imu);
     bench.check_truth(0.3e-3);
     assert_eq!(bench.imu.flash_writes(), 0);
 }

@@ -17,6 +17,7 @@ use std::{
     time::Duration,
 };
 use volant_msgs::{
+    Message,
     diagnostic_msgs::msg::DiagnosticArray,
     sensor_msgs::msg::{Imu, MagneticField},
     tf2_msgs::msg::TFMessage,
@@ -34,6 +35,15 @@ pub struct Received {
     pub diagnostics: Vec<Arc<DiagnosticArray>>,
 }
 
+impl Received {
+    /// Newest value in the diagnostics of the IMU.
+    pub fn value(&self, key: &str) -> Option<&str> {
+        let mut statuses = self.diagnostics.iter().flat_map(|d| &d.status);
+        let status = statuses.rfind(|s| s.name == "imu_driver: imu")?;
+        status.values.iter().find(|v| v.key == key).map(|v| v.value.as_str())
+    }
+}
+
 static RECEIVED: Mutex<Option<Received>> = Mutex::new(None);
 /// One test at a time: they share the received messages.
 static TURN: Mutex<()> = Mutex::new(());
@@ -44,6 +54,20 @@ pub fn received<T>(f: impl FnOnce(&mut Received) -> T) -> T {
     f(received.get_or_insert_default())
 }
 
+/// Subscribes to a topic, whose messages `keep` receives with their time of receipt.
+fn subscribe<M: Message>(
+    context: &mut NodeContext<()>,
+    topic: &str,
+    qos: QosPreset,
+    keep: fn(&mut Received, Stamp, Arc<M>),
+) -> Result<(), NodeError> {
+    context.subscribe(topic, qos, move |message: Arc<M>| -> Option<()> {
+        let at = now();
+        received(|r| keep(r, at, message));
+        None
+    })
+}
+
 struct Subscriber;
 
 impl NodeShell for Subscriber {
@@ -52,31 +76,11 @@ impl NodeShell for Subscriber {
     type Input = ();
 
     fn start(context: &mut NodeContext<()>, (): ()) -> Result<Self, NodeError> {
-        context.subscribe(topics::IMU, QosPreset::Sensor, |m: Arc<Imu>| -> Option<()> {
-            let at = now();
-            received(|r| r.imu.push((at, m)));
-            None
-        })?;
-        context.subscribe("imu/mag", QosPreset::Sensor, |m: Arc<MagneticField>| -> Option<()> {
-            received(|r| r.field.push(m));
-            None
-        })?;
-        context.subscribe(
-            topics::absolute::TF_STATIC,
-            QosPreset::Latched,
-            |m: Arc<TFMessage>| -> Option<()> {
-                received(|r| r.tf.push(m));
-                None
-            },
-        )?;
-        context.subscribe(
-            topics::absolute::DIAGNOSTICS,
-            QosPreset::State,
-            |m: Arc<DiagnosticArray>| -> Option<()> {
-                received(|r| r.diagnostics.push(m));
-                None
-            },
-        )?;
+        let [tf, diagnostics] = [topics::absolute::TF_STATIC, topics::absolute::DIAGNOSTICS];
+        subscribe(context, topics::IMU, QosPreset::Sensor, |r, at, m| r.imu.push((at, m)))?;
+        subscribe(context, "imu/mag", QosPreset::Sensor, |r, _, m| r.field.push(m))?;
+        subscribe(context, tf, QosPreset::Latched, |r, _, m| r.tf.push(m))?;
+        subscribe(context, diagnostics, QosPreset::State, |r, _, m| r.diagnostics.push(m))?;
         Ok(Self)
     }
 
@@ -126,16 +130,9 @@ impl Harness {
         Self { imu, node, _subscriber: subscriber, folder, _turn: turn }
     }
 
-    /// Waits until `samples` were received, for at most `seconds`; returns their number.
-    pub fn wait_for_samples(&self, samples: usize, seconds: f64) -> usize {
-        let end = now().plus_seconds(seconds);
-        loop {
-            let count = received(|r| r.imu.len());
-            if count >= samples || now() > end {
-                return count;
-            }
-            std::thread::sleep(Duration::from_millis(5));
-        }
+    /// Waits until `samples` were received, for at most `seconds`; returns whether they were.
+    pub fn wait_for_samples(&self, samples: usize, seconds: f64) -> bool {
+        self.wait(seconds, |r| r.imu.len() >= samples)
     }
 
     /// Waits for `done`, for at most `seconds`; returns whether it was reached.

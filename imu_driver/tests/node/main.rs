@@ -54,7 +54,7 @@ fn smallest_median(latencies: &[f64]) -> f64 {
 #[ignore = "needs a quiet machine"]
 fn p99_from_the_last_byte_to_the_message_is_at_most_two_milliseconds() {
     let harness = Harness::start("p99", 75, SimulatedImuConfig::default(), &[]);
-    assert!(harness.wait_for_samples(3200, 60.0) >= 3200);
+    assert!(harness.wait_for_samples(3200, 60.0));
     let sent = harness.imu.take_sent();
     let messages = received(|r| std::mem::take(&mut r.imu));
     let (mut latencies, _) = latencies(&messages[200..], &sent);
@@ -65,8 +65,8 @@ fn p99_from_the_last_byte_to_the_message_is_at_most_two_milliseconds() {
 #[test]
 fn messages_are_published_without_delay_and_with_accurate_stamps() {
     let harness = Harness::start("latency", 71, SimulatedImuConfig::default(), &[]);
-    assert!(harness.wait_for_samples(200, 30.0) >= 200);
-    assert!(harness.wait_for_samples(900, 30.0) >= 900);
+    assert!(harness.wait_for_samples(200, 30.0));
+    assert!(harness.wait_for_samples(900, 30.0));
     let sent = harness.imu.take_sent();
     let messages = received(|r| std::mem::take(&mut r.imu));
     // DDS discovery delays the first samples.
@@ -107,7 +107,7 @@ fn messages_are_published_without_delay_and_with_accurate_stamps() {
 fn with_settings_left_as_they_are_the_covariance_has_the_rate_of_the_imu() {
     let config = SimulatedImuConfig { period: 2304, ..SimulatedImuConfig::default() };
     let harness = Harness::start("covariance", 76, config, &["-p", "leave_settings:=true"]);
-    assert!(harness.wait_for_samples(20, 30.0) >= 20);
+    assert!(harness.wait_for_samples(20, 30.0));
     // 0.002² · 50 Hz, from the first sample on.
     for (_, message) in received(|r| std::mem::take(&mut r.imu)) {
         let variance = message.linear_acceleration_covariance[0];
@@ -119,19 +119,19 @@ fn with_settings_left_as_they_are_the_covariance_has_the_rate_of_the_imu() {
 fn the_node_recovers_from_unplugging_slow_replies_garbage_and_power_loss() {
     let config = SimulatedImuConfig { ack_delay: 0.02, ..SimulatedImuConfig::default() };
     let harness = Harness::start("replug", 72, config, &[]);
-    assert!(harness.wait_for_samples(100, 20.0) >= 100);
+    assert!(harness.wait_for_samples(100, 20.0));
     for outage in [0.2, 1.2] {
         harness.imu.unplug();
         std::thread::sleep(Duration::from_secs_f64(outage));
         let before = received(|r| r.imu.len());
         harness.imu.replug();
         let plugged = now();
-        assert!(harness.wait_for_samples(before + 1, 10.0) > before);
+        assert!(harness.wait_for_samples(before + 1, 10.0));
         let back = received(|r| r.imu[before].0).seconds_since(plugged);
         println!("plugged in again after {outage} s: first sample after {back:.2} s");
         // Up to one pause (1 s) until the port is opened, 0.1 s to settle, then within a second.
         assert!(back < 3.0, "{back}");
-        assert!(harness.wait_for_samples(before + 100, 10.0) >= before + 100);
+        assert!(harness.wait_for_samples(before + 100, 10.0));
     }
     harness.imu.with(|imu, at| {
         for k in 0..200_u8 {
@@ -141,20 +141,15 @@ fn the_node_recovers_from_unplugging_slow_replies_garbage_and_power_loss() {
         imu.inject(&frame(MessageId::MT_DATA, &[0; 54])[..40], at);
     });
     let before = received(|r| r.imu.len());
-    assert!(harness.wait_for_samples(before + 200, 10.0) >= before + 200);
+    assert!(harness.wait_for_samples(before + 200, 10.0));
     harness.imu.with(|imu, at| imu.power_cycle(at));
     let before = received(|r| r.imu.len());
-    assert!(harness.wait_for_samples(before + 200, 10.0) >= before + 200);
+    assert!(harness.wait_for_samples(before + 200, 10.0));
     let messages = received(|r| r.imu.clone());
     check_truth(&messages, 30e-3);
     // Only the missing counter was written.
     assert_eq!(harness.imu.with(|imu, _| imu.flash_writes()), Some(1));
-    assert!(harness.wait(5.0, |r| {
-        r.diagnostics.iter().flat_map(|d| &d.status).any(|s| {
-            s.name == "imu_driver: imu"
-                && s.values.iter().any(|v| v.key == "connections" && v.value == "4")
-        })
-    }));
+    assert!(harness.wait(5.0, |r| r.value("connections") == Some("4")));
 }
 
 #[test]
@@ -195,7 +190,7 @@ fn ten_minutes_at_400_hz_lose_nothing_at_constant_memory() {
     };
     let harness = Harness::start("soak", 74, config, &["-p", "baud:=460800", "-p", "rate:=400.0"]);
     let seconds = std::env::var("VOLANT_SOAK").ok().and_then(|s| s.parse().ok()).unwrap_or(600.0);
-    assert!(harness.wait_for_samples(400, 20.0) >= 400);
+    assert!(harness.wait_for_samples(400, 20.0));
     harness.imu.take_sent();
     received(|r| *r = Received::default());
     let start = now();
@@ -215,17 +210,9 @@ fn ten_minutes_at_400_hz_lose_nothing_at_constant_memory() {
         }
     }
     std::thread::sleep(Duration::from_secs(2));
-    let value = |r: &Received, key: &str| {
-        let status = r
-            .diagnostics
-            .iter()
-            .flat_map(|d| &d.status)
-            .rfind(|s| s.name == "imu_driver: imu")
-            .unwrap();
-        status.values.iter().find(|v| v.key == key).unwrap().value.clone()
-    };
     let [lost, checksums, connections, samples] = received(|r| {
-        ["lost samples", "checksum errors", "connections", "samples"].map(|key| value(r, key))
+        ["lost samples", "checksum errors", "connections", "samples"]
+            .map(|key| r.value(key).unwrap().to_owned())
     });
     let settled = memory.len() / 5;
     let (early, late) = (memory[settled], memory[memory.len() - 1]);

@@ -20,9 +20,6 @@ const PIXELS_PER_BYTE: usize = 2048;
 const MAX_SCANS: usize = 32;
 
 /// Decodes a JPEG into rgb8.
-///
-/// # Errors
-/// As [`decode_compressed`](super::decode_compressed).
 pub(super) fn decode(data: &[u8], image: &mut OwnedImage) -> Result<(), ImageError> {
     let data = with_tables(data);
     let mut decoder = check(&data, image)?;
@@ -39,9 +36,6 @@ pub(super) struct WindowDecoder {
 impl WindowDecoder {
     /// Decodes at least the windows (px) of a JPEG into rgb8; the image's other pixels are
     /// unspecified. Returns what is decoded, or `None` for everything.
-    ///
-    /// # Errors
-    /// As [`decode_compressed`](super::decode_compressed).
     pub fn decode(
         &mut self,
         data: &[u8],
@@ -99,15 +93,12 @@ fn check<'a>(
     let mut decoder = open(data);
     decoder.decode_headers().map_err(failed)?;
     match decoder.info().map_or(0, |info| info.components) {
-        1 => return Err(ImageError::NoColor { encoding: "gray jpeg".to_owned() }),
+        1 => return Err(ImageError::NoColor("gray jpeg".to_owned())),
         // YCbCr or RGB.
         3 => {}
         // Often with inverted values, which nothing in the image reveals.
-        4 => return Err(ImageError::UnknownEncoding { encoding: "CMYK or YCCK jpeg".to_owned() }),
-        count => {
-            let encoding = format!("jpeg with {count} components");
-            return Err(ImageError::UnknownEncoding { encoding });
-        }
+        4 => return Err(ImageError::UnknownEncoding("CMYK or YCCK jpeg".to_owned())),
+        n => return Err(ImageError::UnknownEncoding(format!("jpeg with {n} components"))),
     }
     let (width, height) = decoder.dimensions().ok_or_else(|| invalid("it has no size"))?;
     // No camera does this, and the decoder panics on some.

@@ -40,7 +40,7 @@ pub fn decode_compressed_into(
     } else if data.starts_with(&[0x89, b'P', b'N', b'G']) {
         png::decode(data, image)
     } else {
-        Err(ImageError::UnknownCompression { format: format.to_owned() })
+        Err(ImageError::UnknownCompression(format.to_owned()))
     }
 }
 

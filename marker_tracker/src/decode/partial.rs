@@ -79,13 +79,11 @@ impl PartialImage<'_> {
         self.decoder.image.view(self.stamp)
     }
 
-    /// The windows, where the image is not decoded as a whole.
-    pub(crate) fn windows(&self) -> Option<Pixels<'_>> {
-        self.windows.map(|windows| Pixels::partial(self.view(), windows, self.data))
-    }
-
-    /// The pixels of an image that is decoded as a whole.
+    /// The pixels that are decoded.
     pub(crate) fn pixels(&self) -> Pixels<'_> {
-        Pixels::whole(self.view(), Some(self.data))
+        match self.windows {
+            Some(windows) => Pixels::partial(self.view(), windows, self.data),
+            None => Pixels::whole(self.view(), Some(self.data)),
+        }
     }
 }

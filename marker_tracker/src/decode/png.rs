@@ -12,9 +12,6 @@ const BYTES_PER_BYTE: usize = 1040;
 const HEADER: usize = 1 << 22;
 
 /// Decodes a PNG into rgb8 or rgba8.
-///
-/// # Errors
-/// As [`decode_compressed`](super::decode_compressed).
 pub(super) fn decode(data: &[u8], image: &mut OwnedImage) -> Result<(), ImageError> {
     let failed = |reason: String| ImageError::Decode { format: "png", reason };
     let limits = ::png::Limits { bytes: HEADER };
@@ -37,7 +34,7 @@ pub(super) fn decode(data: &[u8], image: &mut OwnedImage) -> Result<(), ImageErr
     let format = match color {
         ::png::ColorType::Rgb => PixelFormat::Rgb8,
         ::png::ColorType::Rgba => PixelFormat::Rgba8,
-        _ => return Err(ImageError::NoColor { encoding: "gray png".to_owned() }),
+        _ => return Err(ImageError::NoColor("gray png".to_owned())),
     };
     let size = reader.output_buffer_size().ok_or_else(|| failed("it is too large".to_owned()))?;
     image.data.resize(size, 0);

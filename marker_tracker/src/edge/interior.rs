@@ -74,8 +74,7 @@ impl Interior {
     }
 
     /// Fits the plane to the pixels that are `half_width` px away from the edges (to fewer of them
-    /// if
-    /// `quick`) and to the gradient of the previous images. `None` with fewer than 8 pixels.
+    /// if `quick`) and to the gradient of the previous images. `None` with fewer than 8 pixels.
     pub fn measure(
         sampler: &Sampler<'_>,
         quad: &Quad,
@@ -90,12 +89,11 @@ impl Interior {
         let [_, top, _, bottom] = shrunken.bounds(0.0);
         let (most, per_line) = if quick { QUICK } else { (LINES, PER_LINE) };
         let stride = ((bottom - top + most - 1) / most).max(1);
-        let spans = shrunken.spans();
         let mut lines = [Line::default(); LINES as usize + 1];
         let mut count = 0;
         let mut y = top + stride / 2;
         while y < bottom && count < lines.len() {
-            if let Some((from, to)) = spans.at(f64::from(y)) {
+            if let Some((from, to)) = shrunken.span(f64::from(y)) {
                 let (from, to) = (from.max(0), to.min(sampler.width));
                 let hop = ((to - from + per_line - 1) / per_line).max(1);
                 let n = (to - from + hop - 1) / hop;
@@ -232,15 +230,11 @@ fn middle_half(sampler: &Sampler<'_>, lines: &[Line]) -> Option<(f64, f64)> {
     let mut values = [0i32; 256];
     let mut count = 0;
     for &Line { x, y, count: n, hop } in lines {
-        let Some((bytes, step)) = sampler.line(x, y, 0, n, hop) else { continue };
-        sampler.each(bytes, step, |j, value| {
-            if (j + y) % 4 == 0
-                && let Some(slot) = values.get_mut(count)
-            {
-                *slot = value;
-                count += 1;
-            }
-        });
+        for j in (0..n).filter(|j| (j + y) % 4 == 0) {
+            let Some(slot) = values.get_mut(count) else { break };
+            *slot = sampler.units(sampler.begin(x + j * hop, y));
+            count += 1;
+        }
     }
     let values = values.get_mut(..count).filter(|v| v.len() >= 8)?;
     values.sort_unstable();

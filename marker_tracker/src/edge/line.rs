@@ -8,8 +8,8 @@ use crate::edge::{
 use nalgebra::Matrix2;
 use wide::f32x8;
 
-/// Variance of a row's place that is assumed at least, px²: 0.02 px, which 8-bit values
-/// leave at a weak edge.
+/// Variance of a row's place that is assumed at least, px²: 0.02 px, which 8-bit values leave at a
+/// weak edge.
 const MIN_VARIANCE: f64 = 4e-4;
 /// Gate for a row's residual in standard deviations (normal distribution: 0.14 % of the rows are
 /// lost), and its least value, px.
@@ -29,7 +29,7 @@ const COVERED_SIGMA: f64 = 0.2;
 pub(crate) const LAGS: usize = 2;
 
 /// A measured edge of a square.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct EdgeFit {
     /// Displacement of the edge's middle along its outward normal, px.
     pub offset: f64,
@@ -84,9 +84,8 @@ impl Places {
     }
 
     /// Fits a robust straight line to the rows' places. `possible`: number of rows that the edge
-    /// has;
-    /// `length`: its length, px. `None` where fewer than three rows, or less than a fifth of them,
-    /// agree.
+    /// has; `length`: its length, px. `None` where fewer than three rows, or less than a fifth of
+    /// them, agree.
     ///
     /// A cover moves a row's crossing inward, never outward, so that of several places on which
     /// rows agree the outermost is the edge. Rows beside ones that disagree are half covered and
@@ -259,19 +258,6 @@ impl LineSums {
         covariance[(0, 0)] += (COVERED_SIGMA * (1.0 - support)).powi(2);
         let lag = [f64::from(square), f64::from(product)];
         let gate = ((ROW_GATE * variance.sqrt()) as f32).clamp(MIN_GATE, gate);
-        (
-            EdgeFit {
-                offset,
-                slope,
-                covariance,
-                support,
-                outside: 0.0,
-                foreign: false,
-                blur: 0.0,
-                shade: 0.0,
-                lag,
-            },
-            gate,
-        )
+        (EdgeFit { offset, slope, covariance, support, lag, ..EdgeFit::default() }, gate)
     }
 }

@@ -4,7 +4,7 @@ use crate::{
     edge::{
         interior::Interior,
         line::{EdgeFit, Places},
-        outside::Outside,
+        outside::{MIN_CONTRAST, Outside},
         prior::{Light, ShapePrior},
         row_plan::{Band, RowPlan, Side},
         rows::{Column, MAX_ROWS, Rows, eight, present},
@@ -15,8 +15,8 @@ use wide::f32x8;
 
 /// Largest difference of the level beyond the band from that at its rim, in units of the contrast.
 /// Beside a step there is one level; where another one lies further out, something else is there,
-/// and only a narrower band measures the edge. Tuned on scenes with poles and
-/// hands before the markers.
+/// and only a narrower band measures the edge. Tuned on scenes with poles and hands before the
+/// markers.
 const STEP: f64 = 0.1;
 /// The same for the narrowest band.
 const LARGEST_STEP: f64 = 0.25;
@@ -45,20 +45,18 @@ const BY_PIXEL: f64 = 0.08;
 /// any symmetric blur and without interpolation. Where something of another level lies within the
 /// band, the measurement is repeated with a narrower one.
 ///
-/// `half_width`: of the band, px; `min_contrast`: in units of the signal. `None` where too few rows
-/// agree on an edge.
+/// `half_width`: of the band, px. `None` where too few rows agree on an edge.
 pub(crate) fn fit_edge(
     sampler: &Sampler<'_>,
     interior: &Interior,
     side: &Side,
     half_width: f64,
     prior: &ShapePrior,
-    min_contrast: f64,
     scratch: &mut Rows,
 ) -> Option<EdgeFit> {
     let mut band = Band { half_width, beyond: f64::INFINITY };
     loop {
-        let attempt = attempt(sampler, interior, side, band, prior, min_contrast, scratch)?;
+        let attempt = attempt(sampler, interior, side, band, prior, scratch)?;
         if attempt.step < STEP {
             return attempt.edge;
         }
@@ -84,7 +82,6 @@ fn attempt(
     side: &Side,
     band: Band,
     prior: &ShapePrior,
-    min_contrast: f64,
     rows: &mut Rows,
 ) -> Option<Attempt> {
     let plan = RowPlan::new(sampler, side, band, prior.tolerance.rows)?;
@@ -99,8 +96,8 @@ fn attempt(
     if count < 3 || count * 4 < plan.possible as usize {
         return None;
     }
-    let outside = Outside::measure(&rows.along, &rows.outside, count, interior, min_contrast)?;
-    let crossings = Crossings::find(rows, &plan, interior, &outside, min_contrast);
+    let outside = Outside::measure(&rows.along, &rows.outside, count, interior)?;
+    let crossings = Crossings::find(rows, &plan, interior, &outside);
     let step = crossings.step;
     let Some(mut edge) = crossings.places.line(plan.possible as usize, side.length, prior) else {
         return Some(Attempt { edge: None, step });
@@ -108,7 +105,7 @@ fn attempt(
     (edge.blur, edge.outside, edge.shade) = (crossings.blur, outside.level, crossings.shade);
     // The outside level's error moves the whole edge, by the outer share of the band; that of its
     // tilt turns the edge.
-    let contrast = (interior.level - outside.level).max(min_contrast);
+    let contrast = (interior.level - outside.level).max(MIN_CONTRAST);
     let outer = 0.5 * f64::from(plan.strip.band) * plan.steep;
     let by_level = (outer * interior.sigma / contrast * prior.correlation).powi(2)
         / f64::from(plan.strip.beyond);
@@ -140,13 +137,7 @@ struct Crossings {
 
 impl Crossings {
     /// Sums up each row, scaled to 0 outside and 1 inside.
-    fn find(
-        rows: &Rows,
-        plan: &RowPlan,
-        interior: &Interior,
-        outside: &Outside,
-        min_contrast: f64,
-    ) -> Self {
+    fn find(rows: &Rows, plan: &RowPlan, interior: &Interior, outside: &Outside) -> Self {
         let (count, side) = (rows.count, &plan.side);
         // The level inside, and its shading relative to the crossing, which the outside shares.
         let at_middle = f32x8::splat(interior.at(side.middle.x, side.middle.y) as f32);
@@ -157,7 +148,7 @@ impl Crossings {
         let (level, tilt) = (f32x8::splat(outside.level as f32), f32x8::splat(outside.tilt as f32));
         let steep = f32x8::splat(plan.steep as f32);
         let limit = f32x8::splat(plan.half_width as f32);
-        let least = f32x8::splat(min_contrast as f32);
+        let least = f32x8::splat(MIN_CONTRAST as f32);
         let gate = f32x8::splat(outside.gate);
         let rim_gate = f32x8::splat(outside.rim_gate);
         let (mut step, mut valid) = (f32x8::ZERO, f32x8::ZERO);
@@ -248,7 +239,7 @@ mod tests {
             let prior =
                 ShapePrior { tolerance, correlation, inflation, light, ..ShapePrior::default() };
             let side = Side::of(&quad, quad.area_and_centroid().1)[1];
-            fit_edge(&sampler, &interior, &side, 4.5, &prior, 0.35, &mut scratch)
+            fit_edge(&sampler, &interior, &side, 4.5, &prior, &mut scratch)
         };
         let by_row = Light::ByRow { brightness: 360.0 / 280.0 };
         assert!(right_edge(5.5, by_row).is_some() && right_edge(35.5, Light::Even).is_some());

@@ -12,6 +12,10 @@ use wide::f32x8;
 const GATE: (f64, f64, f64) = (4.0, 0.06, 0.2);
 const RIM_GATE: (f64, f64, f64) = (6.0, 0.25, 0.5);
 
+/// Lowest contrast of an edge, in units of the one that the marker's colors were adapted in. Light
+/// may drop to 0.45 of its level (a deep shade); the rest is left for noise.
+pub(super) const MIN_CONTRAST: f64 = 0.35;
+
 /// Level outside along an edge: a line through the rows that agree.
 pub(super) struct Outside {
     pub level: f64,
@@ -29,13 +33,12 @@ pub(super) struct Outside {
 
 impl Outside {
     /// Fits the level to the rows' levels `outside` at the places `along` (px). `None` where the
-    /// contrast to the interior is at most `min_contrast` or fewer than three rows agree.
+    /// contrast to the interior is at most [`MIN_CONTRAST`] or fewer than three rows agree.
     pub fn measure(
         along: &Column,
         outside: &Column,
         count: usize,
         interior: &Interior,
-        min_contrast: f64,
     ) -> Option<Self> {
         // The median; where all agree the mean is as good.
         let mean = outside[..count].iter().sum::<f32>() / count as f32;
@@ -48,7 +51,7 @@ impl Outside {
             levels[count / 2]
         };
         let contrast = interior.level - f64::from(median);
-        if contrast.is_nan() || contrast <= min_contrast {
+        if contrast.is_nan() || contrast <= MIN_CONTRAST {
             return None;
         }
         let gate_of = |(gate, low, high): (f64, f64, f64)| {

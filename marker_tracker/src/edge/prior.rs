@@ -79,10 +79,10 @@ impl Levels {
         Some(Self { inside, beside })
     }
 
-    /// Change of the level inside, in units of the level; 0 where that is too small to measure
-    /// light.
-    pub fn relative_change(&self, inside: f64) -> f64 {
-        if self.inside.abs() > 0.3 { inside / self.inside - 1.0 } else { 0.0 }
+    /// Light that the level inside shows, in units of that of the levels; 1 where these are too
+    /// small to measure it.
+    pub fn light(&self, inside: f64) -> f64 {
+        if self.inside.abs() > 0.3 { inside / self.inside } else { 1.0 }
     }
 
     /// Moves the levels by the share `gain` towards other ones.
@@ -97,7 +97,7 @@ impl Levels {
     /// that is so at most edges, or the level inside differs, the light has changed instead.
     pub fn mark_foreign(&self, edges: &mut [Option<EdgeFit>; 4], inside: f64) {
         // Light multiplies both levels.
-        let light = if self.inside.abs() > 0.3 { inside / self.inside } else { 1.0 };
+        let light = self.light(inside);
         if !(0.8..1.25).contains(&light) {
             return;
         }

@@ -93,8 +93,6 @@ pub(super) struct RowPlan {
     /// Number of lines of the image that cross the edge, and the first of them.
     usable: i32,
     first: i32,
-    /// Half-width of the band along a row, px.
-    pub half: f64,
     /// Distance along the edge per row, px.
     pub per_row: f64,
     /// Shift of the crossing per row, px.
@@ -159,7 +157,6 @@ impl RowPlan {
             possible,
             usable,
             first,
-            half,
             per_row,
             shift: tangent[k] * per_row,
         })

@@ -1,7 +1,7 @@
 //! What is read along the rows that cross an edge, in columns of one quantity of all rows.
 
 use crate::{
-    edge::row_plan::{INNER, MAX_BAND, RowPlan, Strip},
+    edge::row_plan::{Crossing, INNER, MAX_BAND, RowPlan, Strip},
     signal::{Sampler, nearest},
 };
 use wide::f32x8;
@@ -78,59 +78,43 @@ impl Rows {
         }
     }
 
-    /// Clears all rows, for at most `possible` new ones of `band` pixels each. The other columns
-    /// are overwritten row by row; what remains in the lanes after the last row is masked.
-    fn clear(&mut self, possible: usize, band: i32) {
-        self.count = 0;
-        let groups = possible.next_multiple_of(8).min(MAX_ROWS);
-        self.pixels[..groups].fill(band as f32);
-        self.room[..groups].fill(f32::INFINITY);
-    }
-
-    /// Adds a row that is in the image as a whole.
+    /// Stores where the band of row `n`, from the pixel `from` on, lies at the predicted edge.
     #[inline(always)]
-    fn add(&mut self, begin: u32, along: f32, crossing: f32, inner: f32) {
-        let n = self.count;
-        if n < MAX_ROWS {
-            self.begin[n] = begin;
-            self.along[n] = along;
-            self.crossing[n] = crossing;
-            self.inner[n] = inner;
-            self.count = n + 1;
-        }
+    fn place(&mut self, n: usize, plan: &RowPlan, crossing: &Crossing, from: i32, band: i32) {
+        let place = (crossing.place - f64::from(from)) as f32;
+        self.along[n] = (crossing.off * plan.per_row) as f32;
+        self.crossing[n] = place;
+        self.inner[n] = if plan.strip.outward { place + 0.5 } else { band as f32 - place - 0.5 };
     }
 
     /// Reads the rows of a plan; with `partly`, rows whose strip leaves the image as far as they
     /// are in it.
     pub(super) fn read_plan(&mut self, sampler: &Sampler<'_>, plan: &RowPlan, partly: bool) {
         let strip = plan.strip;
-        let (columns, lines) = if plan.axis == 0 {
-            (sampler.width, sampler.height)
-        } else {
-            (sampler.height, sampler.width)
-        };
-        self.clear(plan.possible as usize, strip.band);
-        let is_inside = |line: i32| {
-            let start = plan.band_start(&plan.crossing(line)) - plan.lead();
-            start >= 0 && start + strip.band + strip.beyond <= columns && (0..lines).contains(&line)
-        };
-        // The edge is straight: where both of its ends are in the image, all of it is.
-        let whole = is_inside(plan.line(0)) && is_inside(plan.line(plan.possible - 1));
+        let (columns, lines) = plan.pixel(sampler.width, sampler.height);
+        // The other columns are overwritten row by row; what remains in the lanes after the last
+        // row is masked.
+        self.count = 0;
+        let groups = (plan.possible as usize).next_multiple_of(8);
+        self.pixels[..groups].fill(strip.band as f32);
+        self.room[..groups].fill(f32::INFINITY);
         let mut cut = false;
         for line in (0..plan.possible).map(|i| plan.line(i)) {
-            if whole || is_inside(line) {
-                let crossing = plan.crossing(line);
-                let from = plan.band_start(&crossing);
-                let (x, y) = plan.pixel(from - plan.lead(), line);
-                let [first, last] = plan.ends(from).map(|along| plan.pixel(along, line));
-                sampler.read(first.into(), last.into());
-                let place = (crossing.place - f64::from(from)) as f32;
-                let inner =
-                    if strip.outward { place + 0.5 } else { strip.band as f32 - place - 0.5 };
-                self.add(sampler.begin(x, y), (crossing.off * plan.per_row) as f32, place, inner);
-            } else {
+            let crossing = plan.crossing(line);
+            let from = plan.band_start(&crossing);
+            let start = from - plan.lead();
+            let is_on_line = start >= 0 && start + strip.band + strip.beyond <= columns;
+            if !is_on_line || !(0..lines).contains(&line) {
                 cut = true;
+                continue;
             }
+            let (x, y) = plan.pixel(start, line);
+            let [first, last] = plan.ends(from).map(|along| plan.pixel(along, line));
+            sampler.read(first.into(), last.into());
+            let n = self.count;
+            self.begin[n] = sampler.begin(x, y);
+            self.place(n, plan, &crossing, from, strip.band);
+            self.count = n + 1;
         }
         self.read(sampler, &strip);
         if cut && partly {
@@ -142,8 +126,7 @@ impl Rows {
 
     /// Normalizes each row to 1 inside and 0 outside by the levels at its own ends, and drops the
     /// rows that a shadow's edge crosses: where the brightness of the surroundings over the
-    /// marker's is not
-    /// `expected`.
+    /// marker's is not `expected`.
     pub(super) fn relight(&mut self, sampler: &Sampler<'_>, plan: &RowPlan, expected: f32) {
         /// Largest relative deviation of the brightness's ratio: four standard deviations of two
         /// means of three pixels with a noise of 2 % each, and a shadow's tint.
@@ -265,11 +248,12 @@ impl Rows {
     /// Reads a row whose strip leaves the image, as far as it is in it.
     #[cold]
     fn add_cut(&mut self, sampler: &Sampler<'_>, plan: &RowPlan, line: i32) {
-        let (strip, half) = (plan.strip, plan.half);
-        let end = if plan.axis == 0 { sampler.width } else { sampler.height } - 1;
+        let (strip, half) = (plan.strip, plan.half_width / plan.steep);
+        let (columns, lines) = plan.pixel(sampler.width, sampler.height);
+        let end = columns - 1;
         let crossing = plan.crossing(line);
         let start = plan.band_start(&crossing) - plan.lead();
-        if start >= 0 && start + strip.band + strip.beyond <= end + 1 {
+        if start >= 0 && start + strip.band + strip.beyond <= columns {
             return;
         }
         let (mut from, mut to) = (nearest(crossing.place - half), nearest(crossing.place + half));
@@ -288,39 +272,41 @@ impl Rows {
             strip.beyond.min(from)
         };
         let band = to - from + 1;
+        let (first, last) = if strip.outward { (from, to + beyond) } else { (from - beyond, to) };
         if !(2..=MAX_BAND).contains(&band)
             || room < half.min(1.0)
             || beyond < 1
             || self.count >= MAX_ROWS
+            || first < 0
+            || last > end
+            || !(0..lines).contains(&line)
         {
             return;
         }
-        let (x, y) = plan.pixel(if strip.outward { from } else { from - beyond }, line);
-        let Some((bytes, hop)) = sampler.line(x, y, plan.axis, band + beyond, 1) else { return };
-        let (inner, outer) = if strip.outward {
-            bytes.split_at(band as usize * hop)
-        } else {
-            let (outer, inner) = bytes.split_at(beyond as usize * hop);
-            (inner, outer)
-        };
-        let (mut s, mut sj, mut ss, mut outside) = (0f32, 0f32, 0f32, 0f32);
-        sampler.each(inner, hop, |j, value| {
-            let value = value as f32 * sampler.scale;
+        let [(x, y), last] = [first, last].map(|along| plan.pixel(along, line));
+        sampler.read([x, y], last.into());
+        let begin = sampler.begin(x, y);
+        let at = |along: i32| begin + (along - first) as u32 * strip.hop;
+        let (mut s, mut sj, mut ss, mut light) = (0f32, 0f32, 0f32, 0f32);
+        for (j, pixel) in (from..=to).map(at).enumerate() {
+            let value = sampler.one(pixel);
             s += value;
             sj += value * j as f32;
             ss += value * value;
-        });
-        sampler.each(outer, hop, |_, value| outside += value as f32 * sampler.scale);
-        let light = |bytes: &[u8]| bytes.chunks(hop).map(|pixel| sampler.light(pixel)).sum::<f32>();
+            light += sampler.light(pixel);
+        }
+        let (mut outside, mut light_outside) = (0f32, 0f32);
+        let outer = if strip.outward { to + 1 } else { first };
+        for pixel in (outer..outer + beyond).map(at) {
+            outside += sampler.one(pixel);
+            light_outside += sampler.light(pixel);
+        }
         let n = self.count;
-        self.along[n] = (crossing.off * plan.per_row) as f32;
-        let crossing = (crossing.place - f64::from(from)) as f32;
-        self.crossing[n] = crossing;
-        self.inner[n] = if strip.outward { crossing + 0.5 } else { band as f32 - crossing - 0.5 };
+        self.place(n, plan, &crossing, from, band);
         self.pixels[n] = band as f32;
         (self.s[n], self.sj[n], self.ss[n]) = (s, sj, ss);
         self.outside[n] = outside / beyond as f32;
-        (self.light[n], self.light_outside[n]) = (light(inner), light(outer) / beyond as f32);
+        (self.light[n], self.light_outside[n]) = (light, light_outside / beyond as f32);
         // The rim is unknown beyond the image; what is beside it stands in.
         self.rim[n] = self.outside[n];
         self.room[n] = (room * plan.steep) as f32;

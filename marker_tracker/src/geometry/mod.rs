@@ -3,11 +3,16 @@
 
 mod refine;
 
-pub(crate) use refine::{Geometry, PoseObservation, PosePrior, moved};
+pub(crate) use refine::{Geometry, PoseEstimate, PoseObservation, PosePrior, moved};
 
 use crate::quad::Quad;
-use nalgebra::{Isometry3, Point3, Vector2};
+use nalgebra::{Isometry3, Matrix2, Point3};
 use rig_model::{CameraModel, MarkerColor, MarkerLayout};
+
+/// Covariance of two independent coordinates with standard deviation `sigma`, px².
+pub(crate) fn isotropic(sigma: f64) -> Matrix2<f64> {
+    Matrix2::identity() * (sigma * sigma)
+}
 
 /// Corners (volant frame, m) of a square that is turned by `turn` (rad) in its plane.
 fn corners_of(layout: &MarkerLayout, color: MarkerColor, turn: f64) -> [Point3<f64>; 4] {
@@ -27,9 +32,7 @@ pub(crate) fn project_square(
     camera: &CameraModel,
     camera_from_volant: &Isometry3<f64>,
 ) -> Option<Quad> {
-    let mut corners = [Vector2::zeros(); 4];
-    for (corner, point) in corners.iter_mut().zip(corners_of(layout, color, turn)) {
-        *corner = camera.project(&(camera_from_volant * point))?;
-    }
-    Some(Quad(corners))
+    let corners = corners_of(layout, color, turn);
+    let [a, b, c, d] = corners.map(|corner| camera.project(&(camera_from_volant * corner)));
+    Some(Quad([a?, b?, c?, d?]))
 }

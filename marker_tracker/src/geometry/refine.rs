@@ -51,6 +51,14 @@ pub(crate) struct PosePrior {
     pub rotation_sigma: f64,
 }
 
+/// A pose with its covariance.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PoseEstimate {
+    pub camera_from_volant: Isometry3<f64>,
+    /// Of (position, rotation about the camera's axes); m², m·rad, rad².
+    covariance: Matrix6<f64>,
+}
+
 /// What a pose is estimated with: the markers' layout (volant frame) and the camera.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Geometry<'a> {
@@ -113,27 +121,27 @@ impl Geometry<'_> {
         Some((pose, (now.square / (observations.len().max(1) as f64)).sqrt()))
     }
 
-    /// Covariance of a pose (position, rotation about the camera's axes; m², m·rad, rad²) from
-    /// observations and a prior: the inverse of the Gauss–Newton matrix.
-    pub fn covariance(
+    /// A pose with its covariance from observations and a prior: the inverse of the Gauss–Newton
+    /// matrix.
+    pub fn estimate(
         &self,
         observations: &[PoseObservation],
         pose: &Isometry3<f64>,
         prior: &PosePrior,
-    ) -> Option<Matrix6<f64>> {
-        Some(self.evaluate(observations, pose, Some(prior))?.normal.cholesky()?.inverse())
+    ) -> Option<PoseEstimate> {
+        let normal = self.evaluate(observations, pose, Some(prior))?.normal;
+        Some(PoseEstimate { camera_from_volant: *pose, covariance: normal.cholesky()?.inverse() })
     }
 
-    /// Predicts a marker's centroid (px) and its covariance (px²) from a pose with its covariance
-    /// (as [`Self::covariance`]).
+    /// Predicts a marker's centroid (px) and its covariance (px²).
     pub fn predict_centroid(
         &self,
         color: MarkerColor,
-        pose: &Isometry3<f64>,
-        covariance: &Matrix6<f64>,
+        pose: &PoseEstimate,
     ) -> Option<(Vector2<f64>, Matrix2<f64>)> {
-        let predicted = self.layout.projected_centroid(color, self.camera, pose)?;
-        let arm = pose.rotation * self.layout.centers[color].coords;
+        let PoseEstimate { camera_from_volant, covariance } = pose;
+        let predicted = self.layout.projected_centroid(color, self.camera, camera_from_volant)?;
+        let arm = camera_from_volant.rotation * self.layout.centers[color].coords;
         let j = by_pose(&predicted.jacobian_by_center, &arm);
         Some((predicted.pixel, j * covariance * j.transpose()))
     }

@@ -5,9 +5,6 @@ use rig_model::CameraModel;
 use std::path::PathBuf;
 
 /// Reads a calibration from `file:///path` or a plain path.
-///
-/// # Errors
-/// One line with the file and the reason.
 pub(crate) fn read(url: &str) -> Result<CameraModel, String> {
     let path = match url.split_once("://") {
         Some(("file", path)) => PathBuf::from(path),

@@ -5,7 +5,7 @@ use node_kit::{Clock, DeviceSender, Level, Logger};
 use rig_model::Stamp;
 use std::{io, time::Duration};
 use v4l::{
-    Device, FourCC,
+    Device, Format, FourCC,
     buffer::{Flags, Type},
     io::{
         mmap::Stream,
@@ -38,9 +38,7 @@ const POLLIN: i16 = 1;
 struct Opened {
     device: Device,
     encoding: Option<&'static str>,
-    width: u32,
-    height: u32,
-    step: u32,
+    format: Format,
 }
 
 fn open(parameters: &MarkerTrackerParameters) -> Result<Opened, String> {
@@ -67,13 +65,7 @@ fn open(parameters: &MarkerTrackerParameters) -> Result<Opened, String> {
         let frames = parameters.device_rate.round().max(1.0) as u32;
         // A camera with a fixed rate rejects this and keeps its own.
         let _ = device.set_params(&Parameters::with_fps(frames));
-        return Ok(Opened {
-            device,
-            encoding,
-            width: given.width,
-            height: given.height,
-            step: given.stride,
-        });
+        return Ok(Opened { device, encoding, format: given });
     }
     let names: Vec<_> =
         FORMATS.iter().map(|(code, _)| String::from_utf8_lossy(*code).into_owned()).collect();
@@ -84,18 +76,10 @@ fn open(parameters: &MarkerTrackerParameters) -> Result<Opened, String> {
 }
 
 /// Checks that the camera is present and has a supported format; returns a description.
-///
-/// # Errors
-/// One line with the device and the reason.
 pub(crate) fn check(parameters: &MarkerTrackerParameters) -> Result<String, String> {
-    let o = open(parameters)?;
-    Ok(format!(
-        "camera {}: {}x{}, {}",
-        parameters.device_path,
-        o.width,
-        o.height,
-        o.encoding.unwrap_or("jpeg")
-    ))
+    let Opened { encoding, format, .. } = open(parameters)?;
+    let (path, encoding) = (&parameters.device_path, encoding.unwrap_or("jpeg"));
+    Ok(format!("camera {path}: {}x{}, {encoding}", format.width, format.height))
 }
 
 /// Thread of the device: sends frames until the node ends; reopens a failed camera every second.
@@ -159,9 +143,9 @@ fn stream(
             stamp,
             sequence: meta.sequence,
             encoding: opened.encoding,
-            width: opened.width,
-            height: opened.height,
-            step: opened.step,
+            width: opened.format.width,
+            height: opened.format.height,
+            step: opened.format.stride,
             data: buffer[..if used > 0 { used } else { buffer.len() }].to_vec(),
         };
         if !sender.send(Arrival::Frame(Box::new(frame))) {

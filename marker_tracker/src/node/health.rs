@@ -15,21 +15,20 @@ pub(super) fn assess(
     uses_camera: bool,
     incomplete: &IncompleteImages,
 ) -> (Health, String) {
+    let error = |message: &str| (Health::Error, message.to_owned());
     if stages.convert.count == 0 {
         (Health::Error, incomplete.why_none())
     } else if stages.accepted() == 0 {
-        let message = "every image of the last second was rejected; see the log for the reason";
-        (Health::Error, message.to_owned())
+        error("every image of the last second was rejected; see the log for the reason")
     } else if stages.repeated == stages.accepted() {
         // A saturated image is the same again without a fault of the camera.
-        why_blank(stages).map_or_else(
-            || {
-                let message = "every image of the last second is byte for byte the previous one: \
-                               the camera or its driver hangs";
-                (Health::Error, message.to_owned())
-            },
-            |message| (Health::Warn, message),
-        )
+        match why_blank(stages) {
+            Some(message) => (Health::Warn, message),
+            None => error(
+                "every image of the last second is byte for byte the previous one: the camera or \
+                 its driver hangs",
+            ),
+        }
     } else if stages.rejected > 0 {
         let count = stages.rejected;
         let message =
@@ -66,21 +65,15 @@ fn why_none(stages: &Stages, camera: Option<&CameraModel>) -> String {
 /// Names images without a marker that are black or white.
 fn why_blank(stages: &Stages) -> Option<String> {
     let mean = stages.mean_brightness();
-    if stages.detected[0] == 0 {
-        None
-    } else if mean < NEARLY_BLACK {
-        let why = "check the light, the lens cap and the exposure";
-        Some(format!(
-            "no marker in view: the images are nearly black (mean {mean:.0} of 255); {why}"
-        ))
-    } else if mean > NEARLY_WHITE {
-        Some(format!(
-            "no marker in view: the images are nearly white (mean {mean:.0} of 255); reduce the \
-             exposure"
-        ))
-    } else {
-        None
-    }
+    let (tone, remedy) = match stages.detected[0] {
+        0 => return None,
+        _ if mean < NEARLY_BLACK => ("black", "check the light, the lens cap and the exposure"),
+        _ if mean > NEARLY_WHITE => ("white", "reduce the exposure"),
+        _ => return None,
+    };
+    Some(format!(
+        "no marker in view: the images are nearly {tone} (mean {mean:.0} of 255); {remedy}"
+    ))
 }
 
 #[cfg(test)]

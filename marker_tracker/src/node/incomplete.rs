@@ -43,14 +43,14 @@ impl IncompleteImages {
     }
 
     /// Counts an announced image of this size (width, height; px). True where the missing images
-    /// occupy more than the limit, which the memory of the process confirms: a camera may also
-    /// announce more images than it sends. They then count as dropped: the subscription is to be
-    /// renewed.
-    pub fn is_full_after(&mut self, size: (u32, u32)) -> bool {
-        self.is_full_with(size, resident)
-    }
-
-    fn is_full_with(&mut self, size: (u32, u32), resident: impl Fn() -> Option<usize>) -> bool {
+    /// occupy more than the limit, which the memory of the process confirms ([`resident`], bytes):
+    /// a camera may also announce more images than it sends. They then count as dropped: the
+    /// subscription is to be renewed.
+    pub fn is_full_after(
+        &mut self,
+        size: (u32, u32),
+        resident: impl Fn() -> Option<usize>,
+    ) -> bool {
         let base = *self.resident.get_or_insert_with(|| resident().unwrap_or(0));
         self.announced += 1;
         self.recent = self.recent.saturating_add(1);
@@ -97,7 +97,7 @@ impl SharedCounts {
 }
 
 /// Resident memory of the process, bytes. (`statm` has it in pages, whose size varies on ARM.)
-fn resident() -> Option<usize> {
+pub(super) fn resident() -> Option<usize> {
     let status = fs::read_to_string("/proc/self/status").ok()?;
     let kilobytes = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
     Some(kilobytes.split_whitespace().next()?.parse::<usize>().ok()? << 10)
@@ -125,7 +125,7 @@ mod tests {
                 held.set(held.get() + kept);
             }
             most = most.max(held.get());
-            if images.is_full_with(SIZE, || Some((33 << 20) + held.get())) {
+            if images.is_full_after(SIZE, || Some((33 << 20) + held.get())) {
                 held.set(0);
                 renewals += 1;
             }
@@ -156,7 +156,7 @@ mod tests {
             if k < 600 {
                 images.count_received();
             }
-            assert!(!images.is_full_with(SIZE, || Some(k.min(600) << 20)), "image {k}");
+            assert!(!images.is_full_after(SIZE, || Some(k.min(600) << 20)), "image {k}");
         }
     }
 
@@ -173,7 +173,7 @@ mod tests {
     fn dropped_images_are_counted_and_explained() {
         let mut images = IncompleteImages::default();
         assert!(images.why_none().contains("no image"));
-        while !images.is_full_with(SIZE, || None) {}
+        while !images.is_full_after(SIZE, || None) {}
         assert_eq!(images.dropped as usize, LIMIT / IMAGE + 1);
         assert!(images.why_none().contains("rmem_max"));
         // The camera is silent now, with its camera_info.

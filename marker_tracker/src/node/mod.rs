@@ -22,7 +22,7 @@ use crate::{
     image::OwnedImage,
     tracker::{Input, Tracker},
 };
-use incomplete::SharedCounts;
+use incomplete::{SharedCounts, resident};
 use node_kit::{
     Level, NodeContext, NodeError, NodeShell, Publisher, QosPreset,
     node::{CameraChanges, IfChanged},
@@ -99,7 +99,7 @@ fn camera_info_input(
     message: Arc<CameraInfo>,
 ) -> IfChanged<Result<Arrival, CameraModelError>> {
     let size = (message.width, message.height);
-    if is_raw && counts.lock().is_full_after(size) {
+    if is_raw && counts.lock().is_full_after(size, resident) {
         return IfChanged(Some(Ok(Arrival::Incomplete)));
     }
     let model = changes.model(message);

@@ -18,9 +18,6 @@ pub(crate) struct Video {
 }
 
 /// Reads size and rate with `ffprobe`.
-///
-/// # Errors
-/// One line with the file and the reason.
 pub(crate) fn probe(path: &str) -> Result<Video, String> {
     if !std::path::Path::new(path).is_file() {
         return Err(format!("video file {path} does not exist; set file.path"));

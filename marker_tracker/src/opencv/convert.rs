@@ -6,17 +6,12 @@ use opencv::{
     imgproc,
 };
 
-/// OpenCV's conversion of an encoding to r, g, b.
-struct Layout {
-    code: i32,
-    bytes_per_pixel: usize,
-}
-
-/// The conversion of an encoding. `sensor_msgs/image_encodings` names a Bayer pattern by the first
-/// two pixels of the first two rows, OpenCV by the second and third of the second row: rggb is its
-/// BG.
-fn layout(encoding: &str) -> Option<Layout> {
-    let (code, bytes_per_pixel) = match encoding {
+/// OpenCV's conversion of an encoding to r, g, b, and its bytes per pixel.
+///
+/// `sensor_msgs/image_encodings` names a Bayer pattern by the first two pixels of the first two
+/// rows, OpenCV by the second and third of the second row: rggb is its BG.
+fn conversion(encoding: &str) -> Option<(i32, usize)> {
+    Some(match encoding {
         "bayer_rggb8" => (imgproc::COLOR_BayerBG2RGB, 1),
         "bayer_bggr8" => (imgproc::COLOR_BayerRG2RGB, 1),
         "bayer_gbrg8" => (imgproc::COLOR_BayerGR2RGB, 1),
@@ -28,8 +23,7 @@ fn layout(encoding: &str) -> Option<Layout> {
         "yuv422" | "uyvy" => (imgproc::COLOR_YUV2RGB_UYVY, 2),
         "yuv422_yuy2" | "yuyv" => (imgproc::COLOR_YUV2RGB_YUY2, 2),
         _ => return None,
-    };
-    Some(Layout { code, bytes_per_pixel })
+    })
 }
 
 /// Largest value of 14 bits, those of the deepest common sensors. Some drivers leave 10, 12 or 14
@@ -52,16 +46,16 @@ pub(crate) fn convert(
     data: &[u8],
     scratch: &mut OwnedImage,
 ) -> Result<(), ImageError> {
-    let layout = layout(encoding)
-        .ok_or_else(|| ImageError::UnknownEncoding { encoding: encoding.to_owned() })?;
-    let row = width.saturating_mul(layout.bytes_per_pixel);
+    let (code, bytes_per_pixel) =
+        conversion(encoding).ok_or_else(|| ImageError::UnknownEncoding(encoding.to_owned()))?;
+    let row = width.saturating_mul(bytes_per_pixel);
     let yuv = encoding.starts_with('y') || encoding.starts_with('u');
     let holds_pattern = if yuv { width.is_multiple_of(2) } else { width.min(height) >= 2 };
     if !holds_pattern || !ImageView::fits(width, height, step, row, data.len()) {
         return Err(ImageError::Size { width, height, step, length: data.len() });
     }
     let packed: Vec<u8>;
-    let bytes: &[u8] = if layout.bytes_per_pixel == 2 && !yuv {
+    let bytes: &[u8] = if bytes_per_pixel == 2 && !yuv {
         let value = if big_endian { u16::from_be_bytes } else { u16::from_le_bytes };
         let largest = (0..height)
             .flat_map(|y| data[y * step..y * step + row].chunks_exact(2))
@@ -94,7 +88,7 @@ pub(crate) fn convert(
         } else {
             Mat::new_rows_cols_with_bytes::<u8>(h, w, bytes)
         };
-        imgproc::cvt_color_def(&pixels?, &mut out, layout.code)
+        imgproc::cvt_color_def(&pixels?, &mut out, code)
     })();
     converted.map_err(|e| ImageError::Decode { format: "Bayer or YUV", reason: e.to_string() })
 }
@@ -109,41 +103,28 @@ mod tests {
         let (w, h) = (65usize, 47usize);
         let truth = |x: usize, y: usize| [60 + x as i32, 200 - 2 * y as i32, 40 + (x + y) as i32];
         for pattern in ["rggb", "bggr", "gbrg", "grbg"] {
-            let channel = |x: usize, y: usize| {
-                let letter = pattern.as_bytes()[(y % 2) * 2 + x % 2];
-                truth(x, y)[match letter {
-                    b'r' => 0,
-                    b'g' => 1,
-                    _ => 2,
-                }] as u8
+            let channel = |k: usize| {
+                let (x, y) = (k % w, k / w);
+                let letter = &pattern[(y % 2) * 2 + x % 2..][..1];
+                truth(x, y)["rgb".find(letter).unwrap()] as u8
             };
-            let step = w + 6;
-            let mut eight = vec![0u8; step * h];
-            let (mut little, mut big) = (vec![0u8; 2 * w * h], vec![0u8; 2 * w * h]);
-            for y in 0..h {
-                for x in 0..w {
-                    eight[y * step + x] = channel(x, y);
-                    little[2 * (y * w + x) + 1] = channel(x, y);
-                    big[2 * (y * w + x)] = channel(x, y);
-                }
-            }
+            let values: Vec<u8> = (0..w * h).map(channel).collect();
+            let eight: Vec<u8> = values.chunks(w).flat_map(|row| [row, &[0; 6]].concat()).collect();
+            let little: Vec<u8> = values.iter().flat_map(|v| [0, *v]).collect();
+            let big: Vec<u8> = values.iter().flat_map(|v| [*v, 0]).collect();
             for (encoding, big_endian, step, data) in [
-                (format!("bayer_{pattern}8"), false, step, &eight),
+                (format!("bayer_{pattern}8"), false, w + 6, &eight),
                 (format!("bayer_{pattern}16"), false, 2 * w, &little),
                 (format!("bayer_{pattern}16"), true, 2 * w, &big),
             ] {
                 let mut image = OwnedImage::default();
                 convert(w, h, &encoding, big_endian, step, data, &mut image).unwrap();
-                for y in 4..h - 4 {
-                    for x in 4..w - 4 {
-                        for c in 0..3 {
-                            let found = i32::from(image.data[(y * w + x) * 3 + c]);
-                            assert!(
-                                (found - truth(x, y)[c]).abs() <= 2,
-                                "{encoding} {x} {y} {c}: {found}"
-                            );
-                        }
-                    }
+                let inside =
+                    |k: &usize| (4..w - 4).contains(&(k % w)) && (4..h - 4).contains(&(k / w));
+                for k in (0..w * h).filter(inside) {
+                    let (found, wanted) = (&image.data[3 * k..][..3], truth(k % w, k / w));
+                    let off = |c: usize| (i32::from(found[c]) - wanted[c]).abs();
+                    assert!((0..3).all(|c| off(c) <= 2), "{encoding} {k}: {found:?}, {wanted:?}");
                 }
             }
         }
@@ -176,20 +157,14 @@ mod tests {
         let u = 128.0 - 0.148 * r - 0.291 * g + 0.439 * b;
         let v = 128.0 + 0.439 * r - 0.368 * g - 0.071 * b;
         let [y, u, v] = [y, u, v].map(|x: f64| x.round() as u8);
-        for (encoding, unit) in [
-            ("yuv422", [u, y, v, y]),
-            ("uyvy", [u, y, v, y]),
-            ("yuv422_yuy2", [y, u, y, v]),
-            ("yuyv", [y, u, y, v]),
-        ] {
-            let data: Vec<u8> = unit.iter().copied().cycle().take(2 * w * h).collect();
-            let mut image = OwnedImage::default();
+        let (uyvy, yuyv) = ([u, y, v, y], [y, u, y, v]);
+        for (encoding, unit) in
+            [("yuv422", uyvy), ("uyvy", uyvy), ("yuv422_yuy2", yuyv), ("yuyv", yuyv)]
+        {
+            let (data, mut image) = (unit.repeat(w * h / 2), OwnedImage::default());
             convert(w, h, encoding, false, 2 * w, &data, &mut image).unwrap();
             for (found, wanted) in image.data.iter().zip([r, g, b].iter().cycle()) {
-                assert!(
-                    (f64::from(*found) - wanted).abs() < 4.0,
-                    "{encoding}: {found} instead of {wanted}"
-                );
+                assert!((f64::from(*found) - wanted).abs() < 4.0, "{encoding}: {found}, {wanted}");
             }
         }
     }
@@ -205,7 +180,7 @@ mod tests {
         }
         assert!(matches!(
             convert(8, 8, "nv21", false, 8, &[0; 96], &mut image),
-            Err(ImageError::UnknownEncoding { .. })
+            Err(ImageError::UnknownEncoding(_))
         ));
     }
 }

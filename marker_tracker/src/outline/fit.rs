@@ -18,14 +18,8 @@ const MIN_AREA: f64 = 9.0;
 /// relative shading. Rows that something crosses are left out. An edge that is not visible is put
 /// where the shape prior has it relative to the others; the covariance contains that.
 ///
-/// `min_contrast`: in units of the signal. `None` where fewer than two adjacent edges are visible
-/// or the contrast is lost.
-pub(crate) fn fit(
-    sampler: &Sampler<'_>,
-    predicted: &Quad,
-    prior: &ShapePrior,
-    min_contrast: f64,
-) -> Option<QuadFit> {
+/// `None` where fewer than two adjacent edges are visible or the contrast is lost.
+pub(crate) fn fit(sampler: &Sampler<'_>, predicted: &Quad, prior: &ShapePrior) -> Option<QuadFit> {
     if !predicted.0.iter().all(|c| c.amax() < 1e6) {
         return None;
     }
@@ -46,7 +40,7 @@ pub(crate) fn fit(
     let mut edges: [Option<EdgeFit>; 4] = [None; 4];
     let mut scratch = Rows::new();
     for (edge, side) in edges.iter_mut().zip(&sides) {
-        *edge = fit_edge(sampler, &interior, side, half_width, prior, min_contrast, &mut scratch);
+        *edge = fit_edge(sampler, &interior, side, half_width, prior, &mut scratch);
     }
     if let Some(levels) = &prior.levels
         && !sampler.saturated
@@ -54,14 +48,12 @@ pub(crate) fn fit(
         levels.mark_foreign(&mut edges, interior.level);
     }
     let (estimate, edges) = combine(&sides, edges, prior)?;
-    let mut fit = finish(predicted, center, &sides, edges, &estimate, &interior);
+    let mut fit = finish(predicted, center, &sides, edges, &estimate, &interior, prior);
     let contrast = (fit.inside - fit.outside).abs().max(1e-3);
     // (A band is whole pixels, some 0.4 px more on either side.)
     let lever = (prior.tolerance.half_width + 0.4) * interior.sigma / contrast * prior.correlation;
     fit.covariance += Matrix2::identity()
         * (lever * lever * interior.reach * prior.inflation / prior.correlation);
-    fit.inflation = prior.inflation;
-    fit.relit = prior.light != Light::Even;
     Some(fit)
 }
 
@@ -73,6 +65,7 @@ fn finish(
     edges: [Option<EdgeFit>; 4],
     estimate: &Estimate,
     interior: &Interior,
+    prior: &ShapePrior,
 ) -> QuadFit {
     // Each edge as point and direction, then neighbours intersected.
     let line: [(Vector2<f64>, Vector2<f64>); 4] = std::array::from_fn(|i| {
@@ -137,9 +130,9 @@ fn finish(
         inside: interior.level,
         outside,
         filled: interior.filled,
-        inflation: 1.0,
+        inflation: prior.inflation,
         miss,
-        relit: false,
+        relit: prior.light != Light::Even,
     }
 }
 

@@ -2,20 +2,61 @@
 
 mod palette;
 mod scanner;
-mod tint;
 
 pub(crate) use palette::Palette;
 pub(crate) use scanner::{CELL, Scanner};
-pub(crate) use tint::ScanConfig;
 
 use nalgebra::{Matrix2, Vector2};
 use rig_model::MarkerColor;
 
-/// A patch of one marker's color.
+/// What a pixel and a patch must have.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Blob {
+pub(crate) struct ScanConfig {
+    /// Every `stride`-th row and column is read.
+    pub stride: usize,
+    /// Distance along a row of the places that are tested for color first, px.
+    pub grid: usize,
+    /// Least saturation, 0 to 1.
+    pub min_saturation: f32,
+    /// Least layer difference, 0–255.
+    pub min_layer: i32,
+    /// Smallest and largest area of a patch, px².
+    pub min_area: f64,
+    pub max_area: f64,
+}
+
+/// Integer thresholds of what counts as colored.
+#[derive(Clone, Copy)]
+struct Tint {
+    layer: i32,
+    /// Saturation of 256.
+    saturation: i32,
+}
+
+impl Tint {
+    fn new(config: &ScanConfig) -> Self {
+        Self { layer: config.min_layer, saturation: (config.min_saturation * 256.0) as i32 }
+    }
+
+    /// Whether a pixel's channels differ enough; most of an image fails this test.
+    #[inline(always)]
+    fn is_colored(&self, [a, b, c]: [u8; 3]) -> bool {
+        let (max, min) = (a.max(b).max(c), a.min(b).min(c));
+        self.is_layer(i32::from(max - min), i32::from(max))
+    }
+
+    #[inline(always)]
+    fn is_layer(&self, layer: i32, max: i32) -> bool {
+        (layer >= self.layer) & (layer * 256 >= self.saturation * max)
+    }
+}
+
+/// A patch of one marker's color.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Patch {
+    /// Marker whose color it has.
     pub color: MarkerColor,
-    /// px.
+    /// Centroid of its pixels, px.
     pub centroid: Vector2<f64>,
     /// px² of the full image.
     pub area: f64,
@@ -27,7 +68,7 @@ pub(crate) struct Blob {
     pub cut: bool,
 }
 
-impl Blob {
+impl Patch {
     /// Area over that of the parallelogram with the same second moments: 1 for a parallelogram,
     /// 1.05 for an ellipse, less with holes, arms or a bent outline.
     pub fn fill(&self) -> f64 {

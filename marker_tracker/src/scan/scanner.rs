@@ -3,13 +3,9 @@
 
 use crate::{
     image::Pixels,
-    scan::{
-        Blob,
-        palette::Palette,
-        tint::{ScanConfig, Tint},
-    },
+    scan::{Patch, ScanConfig, Tint, palette::Palette},
 };
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::{Matrix2, Vector2, Vector3};
 use rig_model::MarkerColor;
 
 /// Distance of the coarse grid's rows and side of the cells that it marks, px: a patch that slips
@@ -33,13 +29,20 @@ struct Run {
 #[derive(Clone, Copy, Debug, Default)]
 struct Sums {
     n: f64,
-    x: f64,
-    y: f64,
-    xx: f64,
-    xy: f64,
-    yy: f64,
-    rgb: [f64; 3],
+    place: Vector2<f64>,
+    square: Matrix2<f64>,
+    rgb: Vector3<f64>,
     cut: bool,
+}
+
+impl Sums {
+    fn add(&mut self, other: &Self) {
+        self.n += other.n;
+        self.place += other.place;
+        self.square += other.square;
+        self.rgb += other.rgb;
+        self.cut |= other.cut;
+    }
 }
 
 /// Finds patches; its memory is reused from image to image.
@@ -53,7 +56,7 @@ pub(crate) struct Scanner {
     cells: Vec<bool>,
     pub palette: Palette,
     /// Patches of the last scan.
-    pub blobs: Vec<Blob>,
+    pub patches: Vec<Patch>,
 }
 
 impl Scanner {
@@ -71,17 +74,15 @@ impl Scanner {
         label
     }
 
-    /// Finds the patches of the rectangle `[x0, x1) × [y0, y1)` (px) and stores them in `blobs`.
+    /// Finds the patches of the rectangle `[x0, x1) × [y0, y1)` (px) and stores them in `patches`.
     pub fn scan(&mut self, image: &Pixels<'_>, [x0, y0, x1, y1]: [i32; 4], config: &ScanConfig) {
-        self.blobs.clear();
+        self.patches.clear();
         self.sums.clear();
         self.parent.clear();
         self.above.clear();
         let stride = config.stride.max(1);
-        let (x0, y0) =
-            (x0.clamp(0, image.width as i32) as usize, y0.clamp(0, image.height as i32) as usize);
-        let (x1, y1) =
-            (x1.clamp(0, image.width as i32) as usize, y1.clamp(0, image.height as i32) as usize);
+        let [x0, x1] = [x0, x1].map(|x| x.clamp(0, image.width as i32) as usize);
+        let [y0, y1] = [y0, y1].map(|y| y.clamp(0, image.height as i32) as usize);
         if x1 <= x0 || y1 <= y0 {
             return;
         }
@@ -101,20 +102,13 @@ impl Scanner {
                 break;
             };
             let columns = (x1 - x0).div_ceil(CELL);
-            let cells = (y - y0) / CELL * columns;
+            let cells = &self.cells[(y - y0) / CELL * columns..][..columns];
             let mut column = 0;
-            while let Some(from) =
-                self.cells[cells..cells + columns].iter().skip(column).position(|c| *c)
-            {
-                let from = column + from;
-                let length = self.cells[cells + from..cells + columns]
-                    .iter()
-                    .position(|c| !*c)
-                    .unwrap_or(columns - from);
-                column = from + length;
-                let (start, end) =
-                    ((from * CELL).next_multiple_of(stride), (column * CELL).min(x1 - x0));
-                if start >= end {
+            for cells in cells.chunk_by(|a, b| a == b) {
+                let start = (column * CELL).next_multiple_of(stride);
+                column += cells.len();
+                let end = (column * CELL).min(x1 - x0);
+                if !cells[0] || start >= end {
                     continue;
                 }
                 let mut open: Option<Run> = None;
@@ -123,15 +117,9 @@ impl Scanner {
                     let &[a, b, c, ..] = pixel else { break };
                     let x = (x0 + start + i * stride) as u32;
                     let rgb = if blue_first { [c, b, a] } else { [a, b, c] };
-                    let class = if tint.is_colored(rgb) {
-                        palette
-                            .classify(rgb)
-                            .filter(|c| tint.is_layer(c.layer, c.max))
-                            .map(|c| c.color)
-                    } else {
-                        None
-                    };
-                    match (class, &mut open) {
+                    let class = if tint.is_colored(rgb) { palette.classify(rgb) } else { None };
+                    let color = class.filter(|c| tint.is_layer(c.layer, c.max)).map(|c| c.color);
+                    match (color, &mut open) {
                         (None, None) => {}
                         (Some(color), Some(run))
                             if run.color == color && alike(run, rgb.map(f32::from)) =>
@@ -141,11 +129,9 @@ impl Scanner {
                                 *sum += f32::from(value);
                             }
                         }
-                        (class, open) => {
-                            if let Some(run) = open.take() {
-                                self.here.push(run);
-                            }
-                            *open = class.map(|color| Run {
+                        (color, open) => {
+                            self.here.extend(open.take());
+                            *open = color.map(|color| Run {
                                 color,
                                 start: x,
                                 end: x,
@@ -155,9 +141,7 @@ impl Scanner {
                         }
                     }
                 }
-                if let Some(run) = open {
-                    self.here.push(run);
-                }
+                self.here.extend(open);
             }
             self.link(y, stride, [x0, y0, x1, y1]);
         }
@@ -184,25 +168,10 @@ impl Scanner {
             let Some(row) = image.data.get(start..start + (x1 - x0) * bytes) else { break };
             let first = (y - y0) / CELL * columns;
             let seeds = &mut self.seeds[first..first + columns];
-            let word = |cell: usize, x: usize| {
-                let at = (cell * CELL + x) * bytes;
-                match *row.get(at..at + 4).or_else(|| row.get(at..at + 3)).unwrap_or(&[]) {
-                    // The order of the channels makes no difference here.
-                    [a, b, c, ..] => u32::from_le_bytes([a, b, c, 0]),
-                    _ => 0,
-                }
-            };
-            for (cell, seeds) in (0..).step_by(4).zip(seeds.chunks_mut(4)) {
-                for x in (skipped..CELL).step_by(along) {
-                    let [p, q, r, s] =
-                        [word(cell, x), word(cell + 1, x), word(cell + 2, x), word(cell + 3, x)];
-                    let colored = tint.are_colored([p, q, r, s]);
-                    if colored != 0 {
-                        for (i, seed) in seeds.iter_mut().enumerate() {
-                            *seed |= colored >> i & 1 != 0;
-                        }
-                    }
-                }
+            for (seed, cell) in seeds.iter_mut().zip(row.chunks(CELL * bytes)) {
+                let mut pixels = cell.chunks_exact(bytes).skip(skipped).step_by(along);
+                // The order of the channels makes no difference here.
+                *seed = *seed || pixels.any(|p| tint.is_colored([p[0], p[1], p[2]]));
             }
         }
         self.cells.clear();
@@ -251,25 +220,22 @@ impl Scanner {
                 new
             });
             self.here[index].label = label;
-            let s = &mut self.sums[label as usize].1;
             let (a, b, n) = (f64::from(run.start), f64::from(run.end), f64::from(n));
             let mean_x = (a + b) / 2.0;
             // Variance of the n places a, a + stride, …, b.
             let spread = (stride * stride) as f64 * (n * n - 1.0) / 12.0;
             let yf = y as f64;
-            s.n += n;
-            s.x += n * mean_x;
-            s.y += n * yf;
-            s.xx += n * (mean_x * mean_x + spread);
-            s.xy += n * mean_x * yf;
-            s.yy += n * yf * yf;
-            for c in 0..3 {
-                s.rgb[c] += f64::from(run.sum[c]);
-            }
-            s.cut |= (run.start as usize) < x0 + stride
-                || run.end as usize + stride >= x1
-                || y < y0 + stride
-                || y + stride >= y1;
+            let (xx, xy, yy) = (n * (mean_x * mean_x + spread), n * mean_x * yf, n * yf * yf);
+            self.sums[label as usize].1.add(&Sums {
+                n,
+                place: Vector2::new(n * mean_x, n * yf),
+                square: Matrix2::new(xx, xy, xy, yy),
+                rgb: run.sum.map(f64::from).into(),
+                cut: (run.start as usize) < x0 + stride
+                    || run.end as usize + stride >= x1
+                    || y < y0 + stride
+                    || y + stride >= y1,
+            });
         }
         std::mem::swap(&mut self.above, &mut self.here);
     }
@@ -279,19 +245,8 @@ impl Scanner {
         for label in (0..self.sums.len()).rev() {
             let root = self.root(label as u32) as usize;
             if root != label {
-                let s = self.sums[label].1;
-                let r = &mut self.sums[root].1;
-                r.n += s.n;
-                r.x += s.x;
-                r.y += s.y;
-                r.xx += s.xx;
-                r.xy += s.xy;
-                r.yy += s.yy;
-                for c in 0..3 {
-                    r.rgb[c] += s.rgb[c];
-                }
-                r.cut |= s.cut;
-                self.sums[label].1.n = 0.0;
+                let merged = std::mem::take(&mut self.sums[label].1);
+                self.sums[root].1.add(&merged);
             }
         }
         let cell = (stride * stride) as f64;
@@ -300,22 +255,12 @@ impl Scanner {
             if s.n < 6.0 || area < config.min_area || area > config.max_area {
                 continue;
             }
-            let (mx, my) = (s.x / s.n, s.y / s.n);
-            // Second moment of a sampled cell itself.
-            let own = cell / 12.0;
-            self.blobs.push(Blob {
-                color: *color,
-                centroid: Vector2::new(mx, my),
-                area,
-                spread: Matrix2::new(
-                    s.xx / s.n - mx * mx + own,
-                    s.xy / s.n - mx * my,
-                    s.xy / s.n - mx * my,
-                    s.yy / s.n - my * my + own,
-                ),
-                rgb: s.rgb.map(|c| (c / s.n) as f32),
-                cut: s.cut,
-            });
+            let centroid = s.place / s.n;
+            // With the second moment of a sampled cell itself.
+            let spread = s.square / s.n - centroid * centroid.transpose()
+                + Matrix2::identity() * (cell / 12.0);
+            let rgb = s.rgb.map(|c| (c / s.n) as f32).into();
+            self.patches.push(Patch { color: *color, centroid, area, spread, rgb, cut: s.cut });
         }
     }
 }

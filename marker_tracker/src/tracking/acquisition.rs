@@ -104,7 +104,7 @@ impl Acquisition {
             max_area: 1.5 * area.abs(),
         };
         self.scanner.scan(image, outline.bounds(PATCH_REACH + reach), &config);
-        let patches = self.scanner.blobs.iter();
+        let patches = self.scanner.patches.iter();
         let nearest = patches
             .filter(|b| b.color == color && !b.cut && (0.8..1.2).contains(&b.fill()))
             .min_by(|a, b| (a.centroid - place).norm().total_cmp(&(b.centroid - place).norm()))?;
@@ -155,8 +155,8 @@ impl Acquisition {
         ] {
             self.scanner.scan(image, full, &config);
             for extent in extents {
-                let (geometry, blobs) = (platform.geometry(camera), &self.scanner.blobs);
-                hypotheses(geometry, blobs, strictness, *extent, &mut self.found);
+                let (geometry, patches) = (platform.geometry(camera), &self.scanner.patches);
+                hypotheses(geometry, patches, strictness, *extent, &mut self.found);
                 let best = verification.best_of(&self.found, &self.scanner);
                 if best.is_some() {
                     return best;
@@ -208,14 +208,14 @@ impl Verification<'_, '_> {
         let mut observations = [PoseObservation::NONE; 4];
         let (mut count, mut side, mut shape_error) = (0, 0.0, 0.0);
         for color in MarkerColor::ALL {
-            let Some(blob) = hypothesis.blobs[color].and_then(|i| scanner.blobs.get(i)) else {
+            let Some(patch) = hypothesis.patches[color].and_then(|i| scanner.patches.get(i)) else {
                 continue;
             };
             let Some(predicted) = self.platform.outline(color, &start) else { continue };
             let (_, place) = predicted.area_and_centroid();
-            let predicted = predicted.shifted(blob.centroid - place);
+            let predicted = predicted.shifted(patch.centroid - place);
             let Some(mut appearance) = Appearance::sample(self.image, &predicted) else { continue };
-            if mean_rgb(self.image, blob.centroid, 1)
+            if mean_rgb(self.image, patch.centroid, 1)
                 .is_some_and(|rgb| scanner.palette.classify_mean(rgb.map(|v| v as f32)).is_none())
             {
                 continue;

@@ -19,7 +19,8 @@ pub(super) struct View<'a> {
 pub(super) struct ImageCamera {
     /// The given model, or an assumed one until one is given.
     model: Option<CameraModel>,
-    is_given: bool,
+    /// Whether the model comes from a calibration.
+    pub is_given: bool,
     /// Of the last image, px; `None` between a new calibration and the next image.
     size: Option<(u32, u32)>,
 }
@@ -50,11 +51,6 @@ impl ImageCamera {
     /// The model of the last image; `None` between a new calibration and the next image.
     pub fn latest(&self) -> Option<&CameraModel> {
         self.model.as_ref().filter(|model| Some(model.size()) == self.size)
-    }
-
-    /// Whether the model comes from a calibration.
-    pub fn is_known(&self) -> bool {
-        self.is_given
     }
 
     /// Size (width, height; px) of the given model where the image has another one.

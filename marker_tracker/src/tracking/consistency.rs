@@ -27,28 +27,19 @@ const REPROJECTION: (f64, f64) = (0.08, 2.5);
 /// markers, px, and in units of the side (0.8 mm of 76 mm).
 pub(super) const UNEVEN: (f64, f64) = (0.25, 0.01);
 
-/// Tolerances of a square's shape in the pose of `count` markers.
-struct ShapeTolerance {
-    /// Width between opposite edges, px.
-    width: f64,
-    /// Direction of an edge relative to the others, rad.
-    slope: f64,
-}
-
-impl ShapeTolerance {
-    /// How well the shape is known: of the paper itself and of the pose that it is seen from.
-    /// Tuned: whole markers are detected (`tests/bags`), cut ones are not. `side`: of the
-    /// square, px.
-    fn new(known_camera: bool, known_shape: bool, count: usize, side: f64) -> Self {
-        let (width, slope) = match (known_camera, known_shape, count) {
-            (true, true, 4) => (0.1 + 0.004 * side, 0.01),
-            (true, true, 3) => (0.2 + 0.008 * side, 0.015),
-            (true, true, _) => (0.5 + 0.03 * side, 0.06),
-            (true, false, 3..) => (2.0 * (UNEVEN.0 + UNEVEN.1 * side), 0.08),
-            (true, false, _) => (1.0 + 0.05 * side, 0.08),
-            (false, ..) => (1.5 + 0.15 * side, 0.15),
-        };
-        Self { width, slope }
+/// Tolerances of a square's shape in the pose of `count` markers: of the width between opposite
+/// edges, px, and of an edge's direction relative to the others, rad. `side`: of the square, px.
+///
+/// How well the shape is known: of the paper itself and of the pose that it is seen from. Tuned:
+/// whole markers are detected (`tests/bags`), cut ones are not.
+fn shape_tolerance(known_camera: bool, known_shape: bool, count: usize, side: f64) -> (f64, f64) {
+    match (known_camera, known_shape, count) {
+        (true, true, 4) => (0.1 + 0.004 * side, 0.01),
+        (true, true, 3) => (0.2 + 0.008 * side, 0.015),
+        (true, true, _) => (0.5 + 0.03 * side, 0.06),
+        (true, false, 3..) => (2.0 * (UNEVEN.0 + UNEVEN.1 * side), 0.08),
+        (true, false, _) => (1.0 + 0.05 * side, 0.08),
+        (false, ..) => (1.5 + 0.15 * side, 0.15),
     }
 }
 
@@ -67,12 +58,12 @@ pub(super) fn misfit(
     let Some(expected) = platform.outline(color, view) else { return f64::INFINITY };
     let geometry = &platform.markers[color];
     let side = fit.area.sqrt();
-    let tolerance = ShapeTolerance::new(view.is_known, geometry.is_shape_known(), count, side);
+    let (width, slope) = shape_tolerance(view.is_known, geometry.is_shape_known(), count, side);
     let edge_bias = if geometry.is_shape_known() { geometry.edge_bias } else { [typical_bias; 2] };
     // While the layout is still adapting, so is the shape.
     let misplacement = platform.largest_misplacement();
-    let width = tolerance.width + 1.5 * misplacement;
-    let slope = tolerance.slope + 1.5 * misplacement / side.max(10.0);
+    let width = width + 1.5 * misplacement;
+    let slope = slope + 1.5 * misplacement / side.max(10.0);
     let mut worst = 0.0f64;
     for (k, (measured, predicted)) in fit.quad.widths().iter().zip(expected.widths()).enumerate() {
         // Width k is the distance between the edges k and k + 2.

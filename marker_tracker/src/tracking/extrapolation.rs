@@ -2,50 +2,30 @@
 //! still visible.
 
 use crate::{
-    geometry::{Geometry, PoseObservation, PosePrior},
+    geometry::{PoseEstimate, PoseObservation, PosePrior},
     tracking::{
         marker::MarkerTrack,
         motion::{ImageInterval, Motion, PlatformMotion},
         platform::PlatformModel,
     },
 };
-use nalgebra::{Isometry3, Matrix2, Matrix6, Vector2};
-use rig_model::{CameraModel, MarkerColor, PerColor};
+use nalgebra::Isometry3;
+use rig_model::{CameraModel, PerColor};
 
 /// Longest extrapolation of a motion that fewer than three markers cannot determine, s. Tuned;
 /// guarded by the bounds on predicted markers in `tests/synthetic` and `tests/bags`.
 const MAX_AGE: f64 = 0.25;
 /// Standard deviations of the growth of the pose's error: error of the measured velocity (m/s,
 /// rad/s) and half the acceleration of a platform on a rope (m/s², rad/s²), for translation and
-/// rotation. Tuned; guarded by the same bounds on their normalized
-/// squared error.
+/// rotation. Tuned; guarded by the same bounds on their normalized squared error.
 const VELOCITY_SIGMA: [f64; 2] = [0.02, 0.04];
 const HALF_ACCELERATION_SIGMA: [f64; 2] = [1.0, 3.0];
 /// Standard deviation without a known motion, and of the pose at age zero: m and rad.
 const UNKNOWN_SIGMA: f64 = 0.1;
 const START_SIGMA: f64 = 1e-3;
-/// Error of an adapted marker place in a centroid, px: that of the
-/// centroids themselves in `tests/bags`.
+/// Error of an adapted marker place in a centroid, px: that of the centroids themselves in
+/// `tests/bags`.
 const LAYOUT_SIGMA: f64 = 0.05;
-
-/// A pose with its covariance.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct ExtrapolatedPose {
-    camera_from_volant: Isometry3<f64>,
-    /// Of (position, rotation about the camera's axes); m², m·rad, rad².
-    covariance: Matrix6<f64>,
-}
-
-impl ExtrapolatedPose {
-    /// A marker's centroid (px) and its covariance (px²).
-    pub fn centroid(
-        &self,
-        geometry: &Geometry<'_>,
-        color: MarkerColor,
-    ) -> Option<(Vector2<f64>, Matrix2<f64>)> {
-        geometry.predict_centroid(color, &self.camera_from_volant, &self.covariance)
-    }
-}
 
 /// Pose and motion of the platform while markers are hidden.
 #[derive(Clone, Copy, Debug)]
@@ -99,7 +79,7 @@ impl Extrapolator {
         camera: Option<&CameraModel>,
         ratio: f64,
         interval: &ImageInterval,
-    ) -> Option<ExtrapolatedPose> {
+    ) -> Option<PoseEstimate> {
         let pose = platform_motion.pose?;
         let seen = tracks.0.iter().filter(|m| m.fit.is_some()).count();
         let measured = platform_motion.last.filter(|_| seen >= 3);
@@ -130,7 +110,7 @@ fn combine(
     camera: &CameraModel,
     prior: Option<PosePrior>,
     pose: &Isometry3<f64>,
-) -> Option<ExtrapolatedPose> {
+) -> Option<PoseEstimate> {
     let mut observations = [PoseObservation::NONE; 4];
     let mut n = 0;
     for (color, track) in tracks.iter() {
@@ -155,6 +135,5 @@ fn combine(
     let observations = &observations[..n];
     let geometry = platform.geometry(camera);
     let (pose, _) = geometry.refine(observations, &start, Some(&prior), 8)?;
-    let covariance = geometry.covariance(observations, &pose, &prior)?;
-    Some(ExtrapolatedPose { camera_from_volant: pose, covariance })
+    geometry.estimate(observations, &pose, &prior)
 }

@@ -46,12 +46,6 @@ impl MarkerTrack {
         self.outcome = Outcome::NotFound;
     }
 
-    /// Clears the optical flow, which does not survive a reacquisition.
-    pub fn forget_flow(&mut self) {
-        self.flow = Vector2::zeros();
-        self.features.clear();
-    }
-
     /// The predicted outline, moved to where the optical flow finds it.
     pub fn moved_by_flow(&self, sampler: &Sampler<'_>, outline: &Quad) -> Quad {
         let Some(before) = self.centroid else { return *outline };
@@ -189,7 +183,7 @@ impl EdgeHistory {
         /// Least share of the interior that has one level, and of an edge's rows that agree.
         const EVEN: f64 = 0.95;
         const SUPPORT: f64 = 0.9;
-        let changed = self.levels.is_none_or(|l| l.relative_change(fit.inside).abs() > CHANGE);
+        let changed = self.levels.is_none_or(|l| (l.light(fit.inside) - 1.0).abs() > CHANGE);
         changed
             || fit.is_shaded()
             || fit.filled < EVEN

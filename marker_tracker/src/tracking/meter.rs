@@ -38,10 +38,6 @@ pub(super) const KNOWN: Tolerance = Tolerance {
     rows: MAX_ROWS,
 };
 
-/// Lowest contrast of an edge, in units of the one that the marker's colors were adapted in. Light
-/// may drop to 0.45 of its level (a deep shade); the rest is left for noise.
-const MIN_CONTRAST: f64 = 0.35;
-
 /// Measures the outline of one marker in one image.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct OutlineMeter {
@@ -79,8 +75,8 @@ impl OutlineMeter {
     ) -> Option<QuadFit> {
         let prior = ShapePrior { tolerance, ..self.prior };
         match prior.light {
-            Light::ByPixel => fit(&sampler.in_any_light()?, predicted, &prior, MIN_CONTRAST),
-            Light::Even | Light::ByRow { .. } => fit(sampler, predicted, &prior, MIN_CONTRAST),
+            Light::ByPixel => fit(&sampler.in_any_light()?, predicted, &prior),
+            Light::Even | Light::ByRow { .. } => fit(sampler, predicted, &prior),
         }
     }
 

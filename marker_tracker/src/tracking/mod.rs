@@ -101,7 +101,8 @@ impl Pipeline {
             for track in &mut self.state.markers.0 {
                 // What was measured at the former pose may be another thing.
                 track.begin_image();
-                track.forget_flow();
+                track.flow = Vector2::zeros();
+                track.features.clear();
             }
             (self.state.motion.last, before) = (None, None);
             detected = self.track(image, camera, 1.0);
@@ -119,7 +120,7 @@ impl Pipeline {
     fn acquire(&mut self, image: &Pixels<'_>, camera: &CameraModel) -> bool {
         // The levels are those of the former colors.
         let meters = PerColor::from_fn(|color| self.meter(color).without_levels());
-        let known = self.camera.is_known();
+        let known = self.camera.is_given;
         let found = self.acquisition.search(image, camera, known, &self.state.platform, &meters);
         let Some(found) = found else { return false };
         self.state.motion.pose = Some(found.pose);
@@ -140,7 +141,7 @@ impl Pipeline {
         let Some(pose) = self.state.motion.predicted(ratio, self.config.use_flow) else {
             return 0;
         };
-        let start = View { camera, is_known: self.camera.is_known(), pose };
+        let start = View { camera, is_known: self.camera.is_given, pose };
         let mut whole = self.measure_whole(image, &start);
         let check = Consistency { platform: &self.state.platform, tracks: &self.state.markers };
         let (pose, displaced) = check.pose(&start, &mut whole);
@@ -272,7 +273,7 @@ impl Pipeline {
         let has_pose = self.state.motion.pose.is_some();
         let markers = PerColor::from_fn(|color| {
             let rigid = extrapolated
-                .and_then(|e| e.centroid(&self.state.platform.geometry(camera?), color));
+                .and_then(|e| self.state.platform.geometry(camera?).predict_centroid(color, &e));
             let track = &mut self.state.markers[color];
             match track.fit {
                 Some(fit) => track.conclude_detected(image, &fit, common.of_marker(color)),
@@ -300,7 +301,7 @@ impl Engine for Pipeline {
         };
         let view = View {
             camera: self.camera.latest()?,
-            is_known: self.camera.is_known(),
+            is_known: self.camera.is_given,
             pose: motion.predicted(interval.ratio(stamp), self.config.use_flow)?,
         };
         let window = |color: MarkerColor| {
@@ -316,18 +317,16 @@ impl Engine for Pipeline {
         Some(MarkerColor::ALL.map(|color| window(color).unwrap_or_default()))
     }
 
-    fn process_windows(&mut self, image: &Pixels<'_>) -> Option<MarkerObservations> {
-        let before = self.state.clone();
+    fn process(&mut self, image: &Pixels<'_>) -> Result<Option<MarkerObservations>, String> {
+        let before = image.coverage().map(|_| self.state.clone());
         let observations = self.observe(image);
-        if image.is_missing() {
-            self.state = before;
-            return None;
+        match before {
+            Some(before) if image.is_missing() => {
+                self.state = before;
+                Ok(None)
+            }
+            _ => Ok(Some(observations)),
         }
-        Some(observations)
-    }
-
-    fn process(&mut self, image: &Pixels<'_>) -> Result<MarkerObservations, String> {
-        Ok(self.observe(image))
     }
 
     fn set_config(&mut self, config: TrackerConfig) {

@@ -48,10 +48,8 @@ impl PlatformMotion {
     /// The pose at constant velocity; `ratio`: this image interval over the previous one.
     pub fn predicted(&self, ratio: f64, use_motion: bool) -> Option<Isometry3<f64>> {
         let pose = self.pose?;
-        match self.last.filter(|_| use_motion) {
-            Some(motion) => Some(motion.scaled(ratio).apply(&pose)),
-            None => Some(pose),
-        }
+        let motion = self.last.filter(|_| use_motion);
+        Some(motion.map_or(pose, |motion| motion.scaled(ratio).apply(&pose)))
     }
 
     /// Replaces the last motion by the one from `before` to the current pose, which three markers

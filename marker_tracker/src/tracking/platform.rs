@@ -117,15 +117,11 @@ impl PlatformModel {
     /// Restarts the adaptation; the turns are kept as a start, because they hardly depend on the
     /// camera model and on the places.
     pub fn restart(&mut self) {
-        let turns = PerColor::from_fn(|color| {
-            let mut fresh = MarkerGeometry::default();
-            let known = &self.markers[color];
-            if known.turn_updates > 0 {
-                fresh.init_turn(known.turn);
-            }
-            fresh
+        let markers = PerColor::from_fn(|color| {
+            let MarkerGeometry { turn, turn_updates, .. } = self.markers[color];
+            MarkerGeometry { turn, turn_updates: turn_updates.min(1), ..Default::default() }
         });
-        *self = Self { markers: turns, ..Self::new(self.given.clone()) };
+        *self = Self { markers, ..Self::new(self.given.clone()) };
     }
 
     /// The adapted layout and a camera, to estimate poses.

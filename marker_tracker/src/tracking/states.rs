@@ -2,8 +2,8 @@
 //! platform, or lost.
 
 use crate::{
-    config::TrackerConfig, debug_view::Outcome, image::Pixels, outline::QuadFit, signal::Sampler,
-    tracking::marker::MarkerTrack,
+    config::TrackerConfig, debug_view::Outcome, geometry::isotropic, image::Pixels,
+    outline::QuadFit, signal::Sampler, tracking::marker::MarkerTrack,
 };
 use nalgebra::{Matrix2, Vector2};
 use rig_model::{MarkerColor, MarkerObservation, MarkerState, PerColor};
@@ -11,11 +11,6 @@ use rig_model::{MarkerColor, MarkerObservation, MarkerState, PerColor};
 /// Standard deviation of a marker about the place that a pose gives it, px; tuned; guarded by
 /// the bounds on predicted markers in `tests/bags`.
 const POSE_SIGMA: f64 = 0.1;
-
-/// Covariance of two independent coordinates with standard deviation `sigma`, px².
-fn isotropic(sigma: f64) -> Matrix2<f64> {
-    Matrix2::identity() * (sigma * sigma)
-}
 
 /// Displacement of the visible markers since the last image, px.
 pub(super) struct CommonFlow {
@@ -113,16 +108,7 @@ impl MarkerTrack {
             None => (common.mean, isotropic(self.sigma + common.spread)),
         };
         self.flow = flow;
-        let Some(since) = self.count_occluded() else {
-            return MarkerObservation::lost(MarkerObservation::NEVER);
-        };
-        match self.centroid {
-            Some(centroid) if since <= config.max_predicted && has_pose => {
-                self.sigma = (covariance.trace() / 2.0).sqrt();
-                self.predict(since, centroid + flow, covariance)
-            }
-            _ => self.lose(since),
-        }
+        self.predict(flow, covariance, if has_pose { config.max_predicted } else { 0 })
     }
 
     /// The observation in a repeated image, in which nothing is measured: the marker may have moved
@@ -130,35 +116,30 @@ impl MarkerTrack {
     pub fn repeat(&mut self, max_predicted: u16) -> MarkerObservation {
         self.fit = None;
         self.outcome = Outcome::RepeatedImage;
-        let Some(since) = self.count_occluded() else {
-            return MarkerObservation::lost(MarkerObservation::NEVER);
-        };
-        match self.centroid {
-            Some(centroid) if since <= max_predicted => {
-                self.sigma += 1.0 + self.flow.norm();
-                self.predict(since, centroid, isotropic(self.sigma))
-            }
-            _ => {
-                self.flow = Vector2::zeros();
-                self.lose(since)
-            }
+        let sigma = self.sigma + (1.0 + self.flow.norm());
+        let observation = self.predict(Vector2::zeros(), isotropic(sigma), max_predicted);
+        if self.occluded.is_some() && self.centroid.is_none() {
+            self.flow = Vector2::zeros();
         }
+        observation
     }
 
-    /// Counts an image without a measurement; `None` before the first detection.
-    fn count_occluded(&mut self) -> Option<u16> {
-        let since = self.occluded?.saturating_add(1).min(MarkerObservation::NEVER - 1);
-        self.occluded = Some(since);
-        Some(since)
-    }
-
+    /// Counts an image without a measurement, in which the centroid moves by `flow` (px); the
+    /// marker is lost from the image `max_predicted` + 1 on.
     fn predict(
         &mut self,
-        since: u16,
-        centroid: Vector2<f64>,
+        flow: Vector2<f64>,
         covariance: Matrix2<f64>,
+        max_predicted: u16,
     ) -> MarkerObservation {
-        self.centroid = Some(centroid);
+        let Some(before) = self.occluded else {
+            return MarkerObservation::lost(MarkerObservation::NEVER);
+        };
+        let since = before.saturating_add(1).min(MarkerObservation::NEVER - 1);
+        self.occluded = Some(since);
+        self.centroid = self.centroid.filter(|_| since <= max_predicted).map(|c| c + flow);
+        let Some(centroid) = self.centroid else { return MarkerObservation::lost(since) };
+        self.sigma = (covariance.trace() / 2.0).sqrt();
         MarkerObservation {
             state: MarkerState::Predicted,
             occluded_frames: since,
@@ -166,10 +147,5 @@ impl MarkerTrack {
             covariance,
             area: 0.0,
         }
-    }
-
-    fn lose(&mut self, since: u16) -> MarkerObservation {
-        self.centroid = None;
-        MarkerObservation::lost(since)
     }
 }

@@ -12,7 +12,7 @@ use errors::Errors;
 use marker_tracker::{Input, Output, Tracker, TrackerConfig, decode_compressed};
 use nalgebra::Vector2;
 use recording::Recorded;
-use rig_model::{MarkerColor, MarkerObservations, MarkerState, PerColor};
+use rig_model::{MarkerObservation, MarkerObservations, MarkerState, PerColor};
 use std::{collections::BTreeMap, path::Path};
 
 /// Runs the tracker over a bag's compressed images.
@@ -73,14 +73,18 @@ struct Score {
 }
 
 impl Score {
-    fn sum(scores: &PerColor<Self>) -> Self {
-        let scores = || scores.0.iter();
-        Self {
-            whole: scores().map(|s| s.whole).sum(),
-            part: scores().map(|s| s.part).sum(),
-            predicted: scores().map(|s| s.predicted).sum(),
-            hidden_detected: scores().map(|s| s.hidden_detected).sum(),
-            wrong: scores().map(|s| s.wrong).sum(),
+    fn add(&mut self, m: &MarkerObservation, t: &Truth) {
+        let detected = m.state == MarkerState::Detected;
+        self.wrong += usize::from(detected && (m.centroid - t.centroid).norm() > 5.0);
+        if m.state == MarkerState::Predicted {
+            self.predicted.add(m, t.centroid);
+        }
+        if t.shown >= 1.0 {
+            self.whole.show(m, t.centroid);
+        } else if t.shown > 0.0 {
+            self.part.show(m, t.centroid);
+        } else {
+            self.hidden_detected += usize::from(detected);
         }
     }
 }
@@ -88,26 +92,14 @@ impl Score {
 /// Scores each marker, and prints the figures.
 fn score(bag: &str, folder: &Path, observations: &[MarkerObservations]) -> Score {
     let truth = truth(folder);
-    let mut scores: PerColor<Score> = PerColor::default();
+    let (mut scores, mut all) = (PerColor::<Score>::default(), Score::default());
     for o in observations {
-        let t = &truth[&o.stamp.as_nanos()];
-        for color in MarkerColor::ALL {
-            let (m, t, s) = (&o.markers[color], &t[color], &mut scores[color]);
-            let detected = m.state == MarkerState::Detected;
-            s.wrong += usize::from(detected && (m.centroid - t.centroid).norm() > 5.0);
-            if m.state == MarkerState::Predicted {
-                s.predicted.add(m, t.centroid);
-            }
-            if t.shown >= 1.0 {
-                s.whole.show(m, t.centroid);
-            } else if t.shown > 0.0 {
-                s.part.show(m, t.centroid);
-            } else {
-                s.hidden_detected += usize::from(detected);
-            }
+        let truth = &truth[&o.stamp.as_nanos()];
+        for (color, m) in o.markers.iter() {
+            scores[color].add(m, &truth[color]);
+            all.add(m, &truth[color]);
         }
     }
-    let all = Score::sum(&scores);
     let named = scores.iter().map(|(color, s)| (color.name(), s));
     for (name, s) in named.chain([("all", &all)]) {
         eprintln!(

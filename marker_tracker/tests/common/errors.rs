@@ -4,7 +4,7 @@
 
 use nalgebra::Vector2;
 use rig_model::{MarkerObservation, MarkerState};
-use std::{fmt, iter::Sum, ops::Add};
+use std::{fmt, ops::Add};
 
 /// Sums over markers.
 #[derive(Clone, Copy, Default)]
@@ -81,12 +81,6 @@ impl Add for Errors {
             nes: self.nes + other.nes,
             worst: self.worst.max(other.worst),
         }
-    }
-}
-
-impl Sum for Errors {
-    fn sum<I: Iterator<Item = Self>>(all: I) -> Self {
-        all.fold(Self::default(), Add::add)
     }
 }
 

@@ -27,11 +27,11 @@ fn the_arguments_of_ros2_launch_are_parsed() {
     let node = ros.node_name("pose_fusion").unwrap();
     assert_eq!(node.fully_qualified(), "/robot1/est");
     assert_eq!(ros.level(&node), Level::Debug);
-    let values = ros.values(&node);
-    assert_eq!(values["sub.x"], ParameterValue::Integer(1));
-    assert_eq!(values["y"], ParameterValue::Integer(5));
-    assert_eq!(values["z"], ParameterValue::Double(4.5));
-    assert_eq!(ros.overrides(&node)["y"].origin, b.display().to_string());
+    let given = ros.overrides(&node);
+    assert_eq!(given["sub.x"].value, ParameterValue::Integer(1));
+    assert_eq!(given["y"].value, ParameterValue::Integer(5));
+    assert_eq!(given["z"].value, ParameterValue::Double(4.5));
+    assert_eq!(given["y"].origin, b.display().to_string());
     assert_eq!(resolve(&node, &ros.remaps(), "pose").unwrap(), "/robot1/est/pose");
     assert_eq!(resolve(&node, &ros.remaps(), "/imu").unwrap(), "/sensors/imu");
 }

@@ -30,7 +30,7 @@ use volant_msgs::{Message, Service, geometry_msgs::msg::TransformStamped};
 pub struct NodeContext<I: Send + 'static> {
     handle: NodeHandle,
     timers: Timers<I>,
-    pub(crate) inbox: Inbox<I>,
+    pub(crate) inbox: Arc<Inbox<I>>,
 }
 
 impl<I: Send + 'static> Deref for NodeContext<I> {
@@ -81,10 +81,10 @@ impl<I, R: IntoInput<I>> IntoInput<I> for IfChanged<R> {
 impl<I: Send + 'static> NodeContext<I> {
     pub(crate) fn new(
         domain: Arc<Domain>,
-        inbox: Inbox<I>,
+        inbox: Arc<Inbox<I>>,
         parts: NodeParts,
     ) -> Result<Self, NodeError> {
-        let handle = NodeHandle::new(domain, Arc::new(inbox.clone()), parts)?;
+        let handle = NodeHandle::new(domain, inbox.clone(), parts)?;
         Ok(Self { handle, timers: Timers::default(), inbox })
     }
 

@@ -5,7 +5,7 @@ use crate::{
     inbox::{Control, SourceKind},
     lifecycle::{LifecycleState, Transition},
     parameters::{
-        ParameterKind, ParameterValue, START_TYPE_DESCRIPTION_SERVICE,
+        CommonParameters, ParameterKind, ParameterSet,
         messages::{descriptor_message, value, value_message},
     },
 };
@@ -23,7 +23,7 @@ use volant_msgs::{
 pub(crate) type SharedState = Arc<Mutex<LifecycleState>>;
 
 fn state_message(state: LifecycleState) -> State {
-    State { id: state as u8, label: state.label().to_owned() }
+    State { id: state as u8, label: state.label() }
 }
 
 /// Description of a transition by its number and name.
@@ -47,8 +47,8 @@ pub(crate) fn offer(
 ) -> Result<Vec<OfferedService>, NodeError> {
     let mut tasks = Vec::from(offer_parameters(endpoints)?);
     tasks.extend(offer_lifecycle(endpoints, state)?);
-    let described = endpoints.store.lock().get(START_TYPE_DESCRIPTION_SERVICE).cloned();
-    if described == Some(ParameterValue::Bool(true)) {
+    let common = CommonParameters::from_map(endpoints.store.lock().values())?;
+    if common.start_type_description_service {
         tasks.push(type_description::offer(endpoints)?);
     }
     Ok(tasks)

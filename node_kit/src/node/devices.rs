@@ -35,7 +35,7 @@ impl Devices {
 
     pub fn sender<I: Send + 'static>(
         &mut self,
-        inbox: &Inbox<I>,
+        inbox: &Arc<Inbox<I>>,
         name: &str,
         depth: usize,
     ) -> DeviceSender<I> {
@@ -58,7 +58,7 @@ impl Devices {
 /// Puts a device's events into the node's inbox, in order with the messages. Clones share one
 /// source.
 pub struct DeviceSender<I> {
-    inbox: Inbox<I>,
+    inbox: Arc<Inbox<I>>,
     source: SourceId,
     ending: Arc<AtomicBool>,
 }

@@ -2,11 +2,8 @@
 //! statuses.
 
 use super::{
-    endpoints::Endpoints,
-    error::NodeError,
-    graph::without_conflicts,
-    intra_process::TopicState,
-    publisher::{Publisher, Rate},
+    endpoints::Endpoints, error::NodeError, graph::without_conflicts, intra_process::TopicState,
+    publisher::Publisher,
 };
 use crate::{
     convert,
@@ -20,7 +17,7 @@ use rig_model::{Stamp, topics};
 use std::{
     collections::{BTreeMap, HashMap},
     sync::Weak,
-    time::Duration,
+    time::{Duration, Instant},
 };
 use volant_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus, KeyValue};
 
@@ -49,9 +46,12 @@ pub(crate) struct Diagnostics {
     publisher: Publisher<DiagnosticArray>,
     /// Set by the shell.
     statuses: BTreeMap<String, DiagnosticStatus>,
-    rates: HashMap<String, Rate>,
-    /// Counts of what went wrong, a second ago.
+    /// Counts of the last publication.
     previous: HashMap<String, u64>,
+    /// Time of the last publication.
+    published: Instant,
+    /// Time from the one before to that, s.
+    interval: f64,
     /// How late this second's tick is, where that is long.
     held_up: Option<Duration>,
     /// Conflicts that were logged.
@@ -84,8 +84,9 @@ impl Diagnostics {
         Ok(Self {
             publisher: endpoints.advertise_always(topics::absolute::DIAGNOSTICS, DIAGNOSTICS)?,
             statuses: BTreeMap::new(),
-            rates: HashMap::new(),
             previous: HashMap::new(),
+            published: now(),
+            interval: 0.0,
             held_up: None,
             conflicts: String::new(),
         })
@@ -114,19 +115,23 @@ impl Diagnostics {
         self.held_up = (late > HELD_UP_AFTER).then_some(late);
     }
 
-    /// Publishes all statuses, stamped `now`.
-    pub fn publish(&mut self, endpoints: &mut Endpoints, state: LifecycleState, now: Stamp) {
+    /// Publishes all statuses.
+    pub fn publish(&mut self, endpoints: &mut Endpoints, state: LifecycleState, stamp: Stamp) {
+        let before = std::mem::replace(&mut self.published, now());
+        self.interval = self.published.duration_since(before).as_secs_f64();
         let mut all =
             vec![self.inputs(endpoints, state), self.outputs(endpoints), self.graph(endpoints)];
         all.extend(self.statuses.values().cloned());
-        self.publisher.publish(DiagnosticArray { header: convert::header("", now), status: all });
+        self.publisher.publish(DiagnosticArray { header: convert::header("", stamp), status: all });
     }
 
-    fn rate(&mut self, key: &str, count: u64) -> f64 {
-        self.rates.entry(key.to_owned()).or_insert_with(Rate::new).update(count)
+    /// Rate of the messages on a topic, `in` or `out`, since the last publication.
+    fn rate(&mut self, name: &str, way: &str, count: u64) -> KeyValue {
+        let rate = self.gain(format!("{name} {way}"), count) as f64 / self.interval;
+        pair(format!("{name} rate [Hz]"), format!("{rate:.1}"))
     }
 
-    /// Increase of a count within the last second.
+    /// Increase of a count since the last publication.
     fn gain(&mut self, key: String, count: u64) -> u64 {
         count.saturating_sub(self.previous.insert(key, count).unwrap_or(0))
     }
@@ -146,8 +151,7 @@ impl Diagnostics {
             // Monitors show these rows as topics and devices.
             let is_shown = kind != SourceKind::Service;
             if is_shown {
-                let rate = self.rate(&name, received);
-                values.push(pair(format!("{name} rate [Hz]"), format!("{rate:.1}")));
+                values.push(self.rate(&name, "in", received));
                 values.push(pair(format!("{name} received"), received));
             }
             for (what, count) in
@@ -216,10 +220,8 @@ impl Diagnostics {
         for publisher in endpoints.publishers.iter().filter_map(Weak::upgrade) {
             publisher.retry();
             let name = publisher.topic();
-            let key = format!("{name} (out)");
-            let rate = self.rate(&key, publisher.published());
-            values.push(pair(format!("{name} rate [Hz]"), format!("{rate:.1}")));
-            let refused = self.gain(key, publisher.refused());
+            values.push(self.rate(name, "out", publisher.published()));
+            let refused = self.gain(format!("{name} not sent"), publisher.refused());
             if refused > 0 {
                 trouble.push(format!(
                     "{refused} not sent on {name}: a reliable reader does not answer"

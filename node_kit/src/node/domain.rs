@@ -74,13 +74,6 @@ impl Domain {
         let graph = Arc::<Graph>::default();
         let stop = Arc::<AtomicBool>::default();
         let ended = Arc::<AtomicBool>::default();
-        let lost = {
-            let ended = Arc::clone(&ended);
-            move |loss| {
-                ended.store(true, Ordering::Release);
-                lost(loss);
-            }
-        };
         let watcher = std::thread::Builder::new()
             .name("dds_graph".into())
             .spawn({
@@ -89,9 +82,10 @@ impl Domain {
                     transport: Arc::clone(&transport),
                     graph: Arc::clone(&graph),
                     log,
+                    stop: Arc::clone(&stop),
+                    ended: Arc::clone(&ended),
                 };
-                let stop = Arc::clone(&stop);
-                move || watch(&view, &stop, middleware, lost)
+                move || watch(&view, middleware, lost)
             })
             .map_err(|source| NodeError::System { what: "a thread".into(), source })?;
         Ok(Self {
@@ -168,9 +162,11 @@ struct View {
     transport: Arc<IntraProcess>,
     graph: Arc<Graph>,
     log: Logger,
+    stop: Arc<AtomicBool>,
+    ended: Arc<AtomicBool>,
 }
 
-fn watch(view: &View, stop: &AtomicBool, mut middleware: MiddlewareWatch, lost: impl FnOnce(Loss)) {
+fn watch(view: &View, mut middleware: MiddlewareWatch, lost: impl FnOnce(Loss)) {
     let mut lost = Some(lost);
     let listener = view.participant.status_listener();
     let mut announcements = Announcements::subscribe(&view.participant);
@@ -179,7 +175,7 @@ fn watch(view: &View, stop: &AtomicBool, mut middleware: MiddlewareWatch, lost: 
     let waker = Waker::from(Arc::new(Unpark(std::thread::current())));
     let mut logged = HashSet::new();
     let mut read_again = now();
-    while !stop.load(Ordering::Acquire) {
+    while !view.stop.load(Ordering::Acquire) {
         if now() >= read_again {
             if let Some(announcements) = &mut announcements {
                 view.graph.read(announcements);
@@ -191,6 +187,7 @@ fn watch(view: &View, stop: &AtomicBool, mut middleware: MiddlewareWatch, lost: 
             && let Some(lost) = lost.take()
         {
             log.log(Level::Error, loss.to_string());
+            view.ended.store(true, Ordering::Release);
             lost(loss);
         }
         let woken = wait(HEARTBEAT);
@@ -198,7 +195,7 @@ fn watch(view: &View, stop: &AtomicBool, mut middleware: MiddlewareWatch, lost: 
         if any || woken {
             read_again = now();
         }
-        while any && !stop.load(Ordering::Acquire) {
+        while any && !view.stop.load(Ordering::Acquire) {
             std::thread::sleep(SETTLE);
             any = drain(&mut events, &waker, log, &mut logged);
         }
@@ -249,7 +246,7 @@ fn drain<S: Stream<Item = DomainParticipantStatusEvent> + Unpin>(
 }
 
 fn read_endpoints(view: &View, logged: &mut HashSet<(GUID, GUID)>) {
-    let View { participant, transport, graph, log } = view;
+    let View { participant, transport, graph, log, .. } = view;
     let topics = transport.topics();
     if topics.is_empty() {
         return;

@@ -31,17 +31,14 @@ pub enum NodeError {
         source: std::io::Error,
     },
     /// Any other reason: which file, topic or device, and what to do.
-    #[error("{message}")]
-    Other {
-        /// One line.
-        message: String,
-    },
+    #[error("{0}")]
+    Other(String),
 }
 
 impl NodeError {
     /// A reason of any kind: one line that names the file, topic or device, and the remedy.
     pub fn shell(message: impl Into<String>) -> Self {
-        Self::Other { message: message.into() }
+        Self::Other(message.into())
     }
 
     /// What the middleware could not create, with its message.

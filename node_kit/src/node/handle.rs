@@ -20,7 +20,7 @@ use crate::{
     level::Level,
     lifecycle::LifecycleState,
     names::{NodeName, Remap},
-    parameters::{Changes, ParameterMap, ParameterStore, ParameterValue},
+    parameters::{Changes, CommonParameters, ParameterSet, ParameterStore, ParameterValue},
     qos::{Qos, QosPreset},
 };
 use parking_lot::{Mutex, MutexGuard};
@@ -219,14 +219,9 @@ impl NodeHandle {
     /// # Errors
     /// A key that is missing or invalid.
     pub fn rig(&self) -> Result<Rig, NodeError> {
-        Rig::from_parameters(&self.parameter_values()).map_err(|error| {
+        Rig::from_parameters(self.parameter_store().values()).map_err(|error| {
             NodeError::shell(format!("{error}; is `--ros-args --params-file rig.yaml` given?"))
         })
-    }
-
-    /// Current values of all parameters.
-    pub fn parameter_values(&self) -> ParameterMap {
-        self.parameter_store().values().clone()
     }
 
     /// Ends the node for a reason: exit status 1 with this line.
@@ -284,8 +279,7 @@ impl NodeHandle {
 
     /// Subscribes to `/clock` if `use_sim_time` is set, else ends the subscription.
     pub(crate) fn follow_use_sim_time(&mut self) -> Result<(), NodeError> {
-        let use_sim_time = self.parameter_store().get("use_sim_time").cloned();
-        let simulated = use_sim_time == Some(ParameterValue::Bool(true));
+        let simulated = CommonParameters::from_map(self.parameter_store().values())?.use_sim_time;
         self.clock.set_simulated(simulated);
         if !simulated {
             self.own.subscriptions.clear();
@@ -309,7 +303,7 @@ impl NodeHandle {
 
     /// Publishes all parameters on `/parameter_events`.
     pub(crate) fn announce_parameters(&self) {
-        let all: Changes = self.parameter_values().into_iter().collect();
+        let all: Changes = self.parameter_store().values().clone().into_iter().collect();
         self.announce(&all);
     }
 

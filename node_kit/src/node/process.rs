@@ -42,7 +42,7 @@ pub struct Process {
 
 struct Running {
     name: String,
-    close: Box<dyn Fn() + Send>,
+    inbox: Arc<dyn Sources>,
     thread: JoinHandle<Result<(), NodeError>>,
 }
 
@@ -186,17 +186,14 @@ impl Process {
             logger,
         };
         let inbox = Inbox::<S::Input>::new();
-        let close = Box::new({
-            let inbox = inbox.clone();
-            move || inbox.close()
-        });
+        let own_inbox = inbox.clone();
         let (started_sender, started) = sync_channel(1);
         let (domain, ended) = (Arc::clone(&self.domain), self.ended_sender.clone());
         let thread = std::thread::Builder::new()
             .name(name.base().chars().take(15).collect())
             .spawn(move || {
                 let _report = ReportEnd(ended);
-                runner::run::<S>(domain, inbox, parts, Box::new(start), &started_sender)
+                runner::run::<S>(domain, own_inbox, parts, Box::new(start), &started_sender)
             })
             .map_err(|source| NodeError::System {
                 what: format!("a thread for {}", name.base()),
@@ -204,7 +201,7 @@ impl Process {
             })?;
         // The sender drops unused when the node could not start; the thread's result says why.
         if started.recv().is_ok() {
-            self.nodes.push(Running { name: name.fully_qualified(), close, thread });
+            self.nodes.push(Running { name: name.fully_qualified(), inbox, thread });
             return Ok(());
         }
         let reason = join(thread, &name.fully_qualified());
@@ -274,7 +271,7 @@ impl Process {
 
     fn shut_down(&mut self) -> Result<(), NodeError> {
         for node in &self.nodes {
-            (node.close)();
+            node.inbox.close();
         }
         let mut first = Ok(());
         for node in std::mem::take(&mut self.nodes) {
@@ -282,9 +279,7 @@ impl Process {
             if let Err(error) = &result {
                 self.log.log(Level::Error, format!("{}: {error}", node.name));
             }
-            if first.is_ok() {
-                first = result;
-            }
+            first = first.and(result);
         }
         first
     }

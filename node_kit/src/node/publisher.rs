@@ -1,15 +1,12 @@
 //! Publishers of messages.
 
 use super::intra_process::Channel;
-use crate::{inbox::now, qos::Qos};
+use crate::qos::Qos;
 use parking_lot::Mutex;
 use ros2_client::WriteError;
-use std::{
-    sync::{
-        Arc,
-        atomic::{AtomicBool, AtomicU64, Ordering},
-    },
-    time::Instant,
+use std::sync::{
+    Arc, Weak,
+    atomic::{AtomicBool, AtomicU64, Ordering},
 };
 use volant_msgs::Message;
 
@@ -105,8 +102,8 @@ impl<M: Message> Publisher<M> {
         self.0.refused.load(Ordering::Relaxed)
     }
 
-    pub(crate) fn weak(&self) -> std::sync::Weak<dyn Publishing> {
-        let inner: std::sync::Weak<Inner<M>> = Arc::downgrade(&self.0);
+    pub(crate) fn weak(&self) -> Weak<dyn Publishing> {
+        let inner: Weak<Inner<M>> = Arc::downgrade(&self.0);
         inner
     }
 }
@@ -185,28 +182,5 @@ impl<M: Message> Drop for Inner<M> {
     fn drop(&mut self) {
         self.channel.unlatch(self.id);
         self.channel.state.own_writers.write().remove(&self.writer.gid());
-    }
-}
-
-/// Rate of a counter.
-#[derive(Debug)]
-pub(crate) struct Rate {
-    count: u64,
-    at: Instant,
-}
-
-impl Rate {
-    pub fn new() -> Self {
-        Self { count: 0, at: now() }
-    }
-
-    /// Events per second since the last call.
-    pub fn update(&mut self, count: u64) -> f64 {
-        let now = now();
-        let seconds = now.duration_since(self.at).as_secs_f64();
-        let rate =
-            if seconds > 0.0 { count.saturating_sub(self.count) as f64 / seconds } else { 0.0 };
-        (self.count, self.at) = (count, now);
-        rate
     }
 }

@@ -155,8 +155,8 @@ mod tests {
         let port = |argument: &str| {
             let mut ros = RosArguments::default();
             ros.add_file(file.clone()).unwrap();
-            own_arguments(ros, vec![argument.to_owned()], &own).unwrap().values(&node)["port"]
-                .clone()
+            let ros = own_arguments(ros, vec![argument.to_owned()], &own).unwrap();
+            ros.overrides(&node)["port"].value.clone()
         };
         assert_eq!(port("--port="), ParameterValue::String("/dev/imu".into()));
         assert_eq!(port("--port=/dev/ttyUSB1"), ParameterValue::String("/dev/ttyUSB1".into()));
@@ -181,10 +181,10 @@ mod tests {
             let line = line.replace("RIG", &rig).replace("OTHER", &other);
             let words = line.split(' ').map(str::to_owned);
             let (ros, rest) = RosArguments::parse(words).unwrap();
-            let values = own_arguments(ros, rest, &own).unwrap().values(&node);
+            let given = own_arguments(ros, rest, &own).unwrap().overrides(&node);
             let text = |text: &str| ParameterValue::String(text.to_owned());
             assert_eq!(
-                (&values["port"], &values["source"]),
+                (&given["port"].value, &given["source"].value),
                 (&text(port), &text(source)),
                 "{line}"
             );

@@ -13,7 +13,7 @@ use crate::{
     inbox::{Control, Event, Inbox, Sources, Taken, now},
     level::Level,
     lifecycle::{LifecycleState, Transition},
-    parameters::{ParameterSet, ParameterValue},
+    parameters::{CommonParameters, ParameterSet, ParameterValue},
     qos::Qos,
 };
 use std::{
@@ -50,14 +50,14 @@ struct NodeRunner<S: NodeShell> {
 /// Why the node cannot start, or why it ended on its own.
 pub(crate) fn run<S: NodeShell>(
     domain: Arc<Domain>,
-    inbox: Inbox<S::Input>,
+    inbox: Arc<Inbox<S::Input>>,
     parts: NodeParts,
     start: Start<S>,
     started: &SyncSender<()>,
 ) -> Result<(), NodeError> {
     // Invalid values end the node now, whether or not it starts active.
     S::Parameters::from_map(parts.store.values())?;
-    let autostart = parts.store.get("autostart") != Some(&ParameterValue::Bool(false));
+    let CommonParameters { autostart, .. } = CommonParameters::from_map(parts.store.values())?;
     let mut context = NodeContext::new(domain, inbox, parts)?;
     context.set_active(false);
     let events = context.endpoints.advertise_always("~/transition_event", TRANSITION_EVENTS)?;
@@ -85,7 +85,7 @@ impl<S: NodeShell> NodeRunner<S> {
             let timer = if self.is_active() { self.context.next_timer() } else { None };
             let beat = supervised.interval().map(|interval| now() + interval);
             let deadline = [timer, beat].into_iter().flatten().fold(next_tick, Instant::min);
-            match self.context.inbox.take(Some(deadline)) {
+            match self.context.inbox.take(deadline) {
                 Taken::Entry(Event::Input(input)) => {
                     if let Some(shell) = &mut self.shell {
                         shell.handle(&mut self.context, input);
@@ -128,28 +128,25 @@ impl<S: NodeShell> NodeRunner<S> {
                 let _ = reply.try_send(self.set(&changes));
             }
             Control::Transition { id, label, reply } => {
-                let state = *self.state.lock();
-                let success = match Transition::requested(state, id, &label) {
-                    None => {
-                        let state = state.label();
-                        self.context.log(
-                            Level::Warn,
-                            format!("the transition {id} `{label}` is not possible from {state}"),
-                        );
-                        false
-                    }
-                    Some(transition) => match self.change(transition) {
-                        Ok(()) => true,
-                        Err(error) => {
-                            self.context
-                                .log(Level::Error, format!("cannot {}: {error}", transition.label));
-                            false
-                        }
-                    },
-                };
-                let _ = reply.try_send(success);
+                let _ = reply.try_send(self.request(id, &label));
             }
         }
+    }
+
+    /// Changes the state on request, if that is possible; returns whether it succeeded.
+    fn request(&mut self, id: u8, label: &str) -> bool {
+        let state = *self.state.lock();
+        let Some(transition) = Transition::requested(state, id, label) else {
+            let from = state.label();
+            let text = format!("the transition {id} `{label}` is not possible from {from}");
+            self.context.log(Level::Warn, text);
+            return false;
+        };
+        let outcome = self.change(transition);
+        if let Err(error) = &outcome {
+            self.context.log(Level::Error, format!("cannot {}: {error}", transition.label));
+        }
+        outcome.is_ok()
     }
 
     fn set(&mut self, changes: &[(String, ParameterValue)]) -> Result<(), String> {
@@ -170,22 +167,16 @@ impl<S: NodeShell> NodeRunner<S> {
     fn change(&mut self, transition: Transition) -> Result<(), NodeError> {
         let Transition { id, label, start, through, goal } = transition;
         self.enter((id, label), start, through);
-        let outcome = match through {
-            LifecycleState::Configuring => self.configure(),
-            LifecycleState::Activating => {
-                self.context.set_active(true);
-                Ok(())
-            }
-            LifecycleState::Deactivating => {
-                self.context.set_active(false);
-                Ok(())
-            }
+        let mut outcome = Ok(());
+        match through {
+            LifecycleState::Configuring => outcome = self.configure(),
+            LifecycleState::Activating => self.context.set_active(true),
+            LifecycleState::Deactivating => self.context.set_active(false),
             _ => {
                 self.context.set_active(false);
                 self.clean_up();
-                Ok(())
             }
-        };
+        }
         let success = outcome.is_ok();
         self.enter(transition.end(success), through, if success { goal } else { start });
         outcome

@@ -42,78 +42,57 @@ impl Endpoints {
         answer: impl Fn(S::Request) -> F + Send + Sync + 'static,
     ) -> Result<OfferedService, NodeError> {
         let name = self.resolve(name)?;
+        let requests = self.service_topic::<S::Request>(&name, "rq", "Request", &REQUESTS)?;
+        let replies = self.service_topic::<S::Response>(&name, "rr", "Reply", &REPLIES)?;
         match self.domain.network.services {
-            ServiceFlavour::Enhanced => self.serve_enhanced::<S, F>(name, answer),
-            ServiceFlavour::Cyclone => self.serve_cyclone::<S, F>(name, answer),
+            ServiceFlavour::Enhanced => {
+                let requests = self
+                    .node
+                    .lock()
+                    .create_subscription::<S::Request>(&requests, None)
+                    .map_err(|e| failed(&name, e))?;
+                // ros2-client 0.12.1's Publisher cannot write which request a reply belongs to.
+                let qos = policies(&REPLIES);
+                let participant = self.domain.context.domain_participant();
+                let writer = participant
+                    .create_publisher(&qos)
+                    .and_then(|p| {
+                        p.create_datawriter_no_key_cdr::<S::Response>(&replies, Some(qos))
+                    })
+                    .map_err(|e| failed(&name, e))?;
+                self.node.lock().add_writer(writer.guid().into());
+                let reply = move |identity, response| {
+                    let options = WriteOptionsBuilder::new()
+                        .source_timestamp(rustdds::Timestamp::now())
+                        .related_sample_identity(identity)
+                        .build();
+                    let sent = writer.write_with_options(response, options);
+                    sent.map(drop).map_err(|error| error.forget_data().to_string())
+                };
+                let split = |request, info: &MessageInfo| (identity_of(info), request);
+                Ok(self.answer_requests(name, requests, split, answer, reply))
+            }
+            ServiceFlavour::Cyclone => {
+                let requests = self
+                    .node
+                    .lock()
+                    .create_subscription::<WithIdentity<S::Request>>(&requests, None)
+                    .map_err(|e| failed(&name, e))?;
+                let replies = self
+                    .node
+                    .lock()
+                    .create_publisher::<WithIdentity<S::Response>>(&replies, None)
+                    .map_err(|e| failed(&name, e))?;
+                let reply = move |(client, number), half| {
+                    let sent = replies.publish(WithIdentity { client, number, half });
+                    sent.map_err(|error| error.to_string())
+                };
+                let split = |WithIdentity { client, number, half }, _: &MessageInfo| {
+                    ((client, number), half)
+                };
+                Ok(self.answer_requests(name, requests, split, answer, reply))
+            }
         }
-    }
-
-    /// Serves with a request's identity beside the payload: Fast DDS, Connext, RustDDS.
-    fn serve_enhanced<S: Service, F: Future<Output = Option<S::Response>> + Send>(
-        &mut self,
-        name: String,
-        answer: impl Fn(S::Request) -> F + Send + Sync + 'static,
-    ) -> Result<OfferedService, NodeError> {
-        let requests = self.service_topic::<S::Request>(&name, "rq", "Request", &REQUESTS)?;
-        let replies = self.service_topic::<S::Response>(&name, "rr", "Reply", &REPLIES)?;
-        let requests = self
-            .node
-            .lock()
-            .create_subscription::<S::Request>(&requests, None)
-            .map_err(|e| failed(&name, e))?;
-        let participant = self.domain.context.domain_participant();
-        // ros2-client 0.12.1's Publisher cannot write which request a reply belongs to.
-        let writer = participant
-            .create_publisher(&policies(&REPLIES))
-            .and_then(|p| {
-                p.create_datawriter_no_key_cdr::<S::Response>(&replies, Some(policies(&REPLIES)))
-            })
-            .map_err(|e| failed(&name, e))?;
-        self.node.lock().add_writer(writer.guid().into());
-        Ok(self.answer_requests(
-            name,
-            requests,
-            |request, info| (identity_of(info), request),
-            answer,
-            move |identity, response| {
-                let options = WriteOptionsBuilder::new()
-                    .source_timestamp(rustdds::Timestamp::now())
-                    .related_sample_identity(identity)
-                    .build();
-                let sent = writer.write_with_options(response, options);
-                sent.map(drop).map_err(|error| error.forget_data().to_string())
-            },
-        ))
-    }
-
-    /// Serves with a request's identity in front of the payload: Cyclone DDS.
-    fn serve_cyclone<S: Service, F: Future<Output = Option<S::Response>> + Send>(
-        &mut self,
-        name: String,
-        answer: impl Fn(S::Request) -> F + Send + Sync + 'static,
-    ) -> Result<OfferedService, NodeError> {
-        let requests = self.service_topic::<S::Request>(&name, "rq", "Request", &REQUESTS)?;
-        let replies = self.service_topic::<S::Response>(&name, "rr", "Reply", &REPLIES)?;
-        let requests = self
-            .node
-            .lock()
-            .create_subscription::<WithIdentity<S::Request>>(&requests, None)
-            .map_err(|e| failed(&name, e))?;
-        let replies = self
-            .node
-            .lock()
-            .create_publisher::<WithIdentity<S::Response>>(&replies, None)
-            .map_err(|e| failed(&name, e))?;
-        Ok(self.answer_requests(
-            name,
-            requests,
-            |WithIdentity { client, number, half }, _| ((client, number), half),
-            answer,
-            move |(client, number), half| {
-                let sent = replies.publish(WithIdentity { client, number, half });
-                sent.map_err(|error| error.to_string())
-            },
-        ))
     }
 
     /// Answers requests, one at a time, within the service's [`ReplyBudget`]. `split` returns a

@@ -28,13 +28,10 @@ impl Transforms {
         endpoints: &mut Endpoints,
         transform: TransformStamped,
     ) -> Result<(), NodeError> {
-        let publisher = match &self.moving {
-            Some(publisher) => publisher,
-            None => {
-                self.moving.insert(endpoints.advertise(topics::absolute::TF, QosPreset::State)?)
-            }
-        };
-        publisher.publish(TFMessage { transforms: vec![transform] });
+        self.advertise(endpoints)?;
+        if let Some(publisher) = &self.moving {
+            publisher.publish(TFMessage { transforms: vec![transform] });
+        }
         Ok(())
     }
 

@@ -9,9 +9,6 @@ use volant_msgs::{
 };
 
 /// Offers the service.
-///
-/// # Errors
-/// As [`Endpoints::serve`].
 pub(crate) fn offer(endpoints: &mut Endpoints) -> Result<OfferedService, NodeError> {
     endpoints.serve::<GetTypeDescription, _>("~/get_type_description", |request| {
         std::future::ready(Some(answer(&request)))

@@ -4,16 +4,10 @@ use super::{Descriptor, ParameterKind};
 use ros_parameters::ParameterValue;
 use volant_msgs::rcl_interfaces::msg;
 
-/// `rcl_interfaces/ParameterType`'s "not set".
-const NOT_SET: u8 = 0;
-
 /// Message of a value; `None` is "not set".
 pub fn value_message(value: Option<&ParameterValue>) -> msg::ParameterValue {
     let mut message = msg::ParameterValue::default();
-    let Some(value) = value else {
-        message.r#type = NOT_SET;
-        return message;
-    };
+    let Some(value) = value else { return message };
     message.r#type = ParameterKind::of(value) as u8;
     match value {
         ParameterValue::Bool(x) => message.bool_value = *x,
@@ -30,60 +24,45 @@ pub fn value_message(value: Option<&ParameterValue>) -> msg::ParameterValue {
 
 /// Value of a message; `None` for "not set", and for byte arrays, which no parameter here has.
 pub fn value(message: &msg::ParameterValue) -> Option<ParameterValue> {
-    use ParameterKind as K;
-    let is = |kind: K| message.r#type == kind as u8;
-    Some(match () {
-        () if is(K::Bool) => ParameterValue::Bool(message.bool_value),
-        () if is(K::Integer) => ParameterValue::Integer(message.integer_value),
-        () if is(K::Double) => ParameterValue::Double(message.double_value),
-        () if is(K::String) => ParameterValue::String(message.string_value.clone()),
-        () if is(K::BoolArray) => ParameterValue::BoolArray(message.bool_array_value.clone()),
-        () if is(K::IntegerArray) => {
-            ParameterValue::IntegerArray(message.integer_array_value.clone())
-        }
-        () if is(K::DoubleArray) => ParameterValue::DoubleArray(message.double_array_value.clone()),
-        () if is(K::StringArray) => ParameterValue::StringArray(message.string_array_value.clone()),
-        () => return None,
+    use ParameterValue as V;
+    use msg::ParameterType as T;
+    let m = message.clone();
+    Some(match m.r#type {
+        T::PARAMETER_BOOL => V::Bool(m.bool_value),
+        T::PARAMETER_INTEGER => V::Integer(m.integer_value),
+        T::PARAMETER_DOUBLE => V::Double(m.double_value),
+        T::PARAMETER_STRING => V::String(m.string_value),
+        T::PARAMETER_BOOL_ARRAY => V::BoolArray(m.bool_array_value),
+        T::PARAMETER_INTEGER_ARRAY => V::IntegerArray(m.integer_array_value),
+        T::PARAMETER_DOUBLE_ARRAY => V::DoubleArray(m.double_array_value),
+        T::PARAMETER_STRING_ARRAY => V::StringArray(m.string_array_value),
+        _ => return None,
     })
 }
 
 /// Message of a declaration; `None` for an undeclared `name`.
 pub fn descriptor_message(name: &str, descriptor: Option<&Descriptor>) -> msg::ParameterDescriptor {
-    let Some(d) = descriptor else {
-        return msg::ParameterDescriptor {
-            name: name.to_owned(),
-            ..msg::ParameterDescriptor::default()
-        };
-    };
-    let mut message = msg::ParameterDescriptor {
-        name: d.name.clone(),
-        r#type: d.kind as u8,
-        description: if d.unit.is_empty() {
-            d.description.clone()
-        } else {
-            format!("{} [{}]", d.description, d.unit)
-        },
-        additional_constraints: match d.choices {
-            [] => String::new(),
-            choices => format!("one of {}", choices.join(", ")),
-        },
-        read_only: !d.live,
-        ..msg::ParameterDescriptor::default()
-    };
-    if let Some((low, high)) = d.range {
-        match d.kind {
-            ParameterKind::Integer | ParameterKind::IntegerArray => {
-                message.integer_range = vec![msg::IntegerRange {
-                    // The declaration has whole numbers here.
-                    from_value: low as i64,
-                    to_value: high as i64,
-                    step: 0,
-                }];
-            }
-            _ => {
-                message.floating_point_range =
-                    vec![msg::FloatingPointRange { from_value: low, to_value: high, step: 0.0 }];
-            }
+    let mut message = msg::ParameterDescriptor { name: name.to_owned(), ..Default::default() };
+    let Some(d) = descriptor else { return message };
+    message.r#type = d.kind as u8;
+    message.description.clone_from(&d.description);
+    if !d.unit.is_empty() {
+        message.description += &format!(" [{}]", d.unit);
+    }
+    if !d.choices.is_empty() {
+        message.additional_constraints = format!("one of {}", d.choices.join(", "));
+    }
+    message.read_only = !d.live;
+    match (d.range, d.kind) {
+        (None, _) => {}
+        (Some((low, high)), ParameterKind::Integer | ParameterKind::IntegerArray) => {
+            // The declaration has whole numbers here.
+            let (from_value, to_value) = (low as i64, high as i64);
+            message.integer_range = vec![msg::IntegerRange { from_value, to_value, step: 0 }];
+        }
+        (Some((from_value, to_value)), _) => {
+            message.floating_point_range =
+                vec![msg::FloatingPointRange { from_value, to_value, step: 0.0 }];
         }
     }
     message

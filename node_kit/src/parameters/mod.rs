@@ -6,7 +6,7 @@ mod store;
 mod tables;
 
 #[cfg(feature = "dds")]
-pub(crate) use common::START_TYPE_DESCRIPTION_SERVICE;
+pub(crate) use common::CommonParameters;
 pub use common::common_descriptors;
 pub use ros_parameters::{
     Descriptor, ParameterError, ParameterKind, ParameterMap, ParameterSet, ParameterType,

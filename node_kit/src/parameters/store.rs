@@ -70,7 +70,10 @@ impl ParameterStore {
     }
 
     fn unknown(&self, name: &str) -> ParameterError {
-        ParameterError::Unknown { name: name.to_owned(), hint: self.hint(name) }
+        let hint = self.hint(name);
+        ParameterError::Invalid(format!(
+            "the parameter `{name}` is not known{hint}; remove it or correct its spelling"
+        ))
     }
 
     /// Declares a parameter if a value was given for it at the start, and returns that value.
@@ -127,7 +130,10 @@ impl ParameterStore {
             let descriptor = self.declared.get(name).ok_or_else(|| self.unknown(name))?;
             let value = descriptor.accept(value)?;
             if !descriptor.live && values.get(name) != Some(&value) {
-                return Err(ParameterError::ReadOnly { name: name.clone() });
+                return Err(ParameterError::Invalid(format!(
+                    "the parameter `{name}` cannot change while the node runs; set it at the start \
+                     (-p {name}:=… or --params-file)"
+                )));
             }
             values.insert(name.clone(), value.clone());
             made.push((name.clone(), value));
@@ -144,23 +150,14 @@ impl ParameterStore {
     /// (0: any depth), and their own prefixes: the reply of `list_parameters`.
     pub fn list(&self, prefixes: &[String], depth: u64) -> (Vec<String>, Vec<String>) {
         let within = |rest: &str| depth == 0 || (rest.matches('.').count() as u64) < depth;
-        let names: Vec<String> = self
-            .declared
-            .keys()
-            .filter(|name| {
-                if prefixes.is_empty() {
-                    return within(name);
-                }
-                prefixes.iter().any(|prefix| {
-                    *name == prefix
-                        || name
-                            .strip_prefix(prefix.as_str())
-                            .and_then(|r| r.strip_prefix('.'))
-                            .is_some_and(within)
-                })
-            })
-            .cloned()
-            .collect();
+        let is_listed = |name: &&String| {
+            let is_below = |prefix: &String| {
+                let rest = name.strip_prefix(prefix.as_str());
+                rest == Some("") || rest.and_then(|r| r.strip_prefix('.')).is_some_and(within)
+            };
+            if prefixes.is_empty() { within(name) } else { prefixes.iter().any(is_below) }
+        };
+        let names: Vec<String> = self.declared.keys().filter(is_listed).cloned().collect();
         let mut parents: Vec<String> = names
             .iter()
             .filter_map(|n| n.rsplit_once('.').map(|(parent, _)| parent.to_owned()))
@@ -176,7 +173,7 @@ fn accept(descriptor: &Descriptor, given: &Override) -> Result<ParameterValue, P
 }
 
 fn given_in(error: ParameterError, origin: &str) -> ParameterError {
-    ParameterError::Given { error: Box::new(error), origin: origin.to_owned() }
+    ParameterError::Given { message: error.to_string(), origin: origin.to_owned() }
 }
 
 #[cfg(test)]
@@ -222,10 +219,8 @@ mod tests {
         let mut store = store();
         let live = ("a.gain".to_owned(), ParameterValue::Integer(2));
         let fixed = ("markers.size".to_owned(), ParameterValue::Double(0.1));
-        assert!(matches!(
-            store.propose(&[live.clone(), fixed]),
-            Err(ParameterError::ReadOnly { .. })
-        ));
+        let error = store.propose(&[live.clone(), fixed]).unwrap_err().to_string();
+        assert!(error.contains("`markers.size` cannot change"), "{error}");
         assert!(store.propose(&[("a.gain".to_owned(), ParameterValue::Integer(3))]).is_err());
         assert!(store.propose(&[("gain".to_owned(), ParameterValue::Integer(1))]).is_err());
         let (values, made) = store.propose(&[live]).unwrap();
@@ -237,32 +232,14 @@ mod tests {
 
     #[test]
     fn qos_overrides_wait_for_their_topic() {
-        let mut store = ParameterStore::new(
-            vec![],
-            [
-                given("qos_overrides./a.publisher.depth", ParameterValue::Integer(3)),
-                given("qos_overrides./b.publisher.depth", ParameterValue::Integer(3)),
-            ]
-            .into(),
-        )
-        .unwrap();
-        let descriptor = Descriptor::new(
-            "qos_overrides./a.publisher.depth",
-            ParameterKind::Integer,
-            Some(ParameterValue::Integer(10)),
-            "",
-        );
-        assert_eq!(store.declare_if_given(descriptor).unwrap(), Some(ParameterValue::Integer(3)));
+        let name = |topic: &str| format!("qos_overrides./{topic}.publisher.depth");
+        let three = ParameterValue::Integer(3);
+        let overrides = ["a", "b"].map(|topic| given(&name(topic), three.clone()));
+        let mut store = ParameterStore::new(vec![], overrides.into()).unwrap();
+        let depth = |topic| Descriptor::new(name(topic), ParameterKind::Integer, None, "");
+        assert_eq!(store.declare_if_given(depth("a")), Ok(Some(three)));
         assert_eq!(store.left_over().len(), 1);
-        assert_eq!(
-            store.declare_if_given(Descriptor::new(
-                "qos_overrides./c.publisher.depth",
-                ParameterKind::Integer,
-                None,
-                ""
-            )),
-            Ok(None)
-        );
+        assert_eq!(store.declare_if_given(depth("c")), Ok(None));
         assert_eq!(store.declared.len(), 1);
     }
 

@@ -30,10 +30,8 @@ pub fn markdown_table(descriptors: &[Descriptor]) -> String {
 pub fn yaml_file(selector: &str, descriptors: &[Descriptor]) -> String {
     let mut text = format!("{selector}:\n  ros__parameters:\n");
     for d in descriptors {
-        let unit = if d.unit.is_empty() { String::new() } else { format!(" [{}]", d.unit) };
-        let constraint = d.constraint();
-        let constraint =
-            if constraint.is_empty() { constraint } else { format!(" ({constraint})") };
+        let unit = enclosed(" [", d.unit, "]");
+        let constraint = enclosed(" (", &d.constraint(), ")");
         let _ = writeln!(text, "    # {}{unit}{constraint}", d.description);
         let _ = match &d.default {
             Some(value) => writeln!(text, "    {}: {}", d.name, value.to_yaml()),
@@ -50,9 +48,8 @@ pub fn help_table(descriptors: &[Descriptor]) -> String {
     for d in descriptors {
         let default =
             d.default.as_ref().map_or("must be given".to_owned(), |v| format!("default {v}"));
-        let unit = if d.unit.is_empty() { String::new() } else { format!(" {}", d.unit) };
-        let constraint = d.constraint();
-        let constraint = if constraint.is_empty() { constraint } else { format!(", {constraint}") };
+        let unit = enclosed(" ", d.unit, "");
+        let constraint = enclosed(", ", &d.constraint(), "");
         let live = if d.live { ", live" } else { "" };
         let _ = writeln!(
             text,
@@ -63,6 +60,11 @@ pub fn help_table(descriptors: &[Descriptor]) -> String {
         );
     }
     text
+}
+
+/// A text between two others; nothing where it is empty.
+fn enclosed(before: &str, text: &str, after: &str) -> String {
+    if text.is_empty() { String::new() } else { format!("{before}{text}{after}") }
 }
 
 #[cfg(test)]

@@ -82,6 +82,12 @@ pub fn script(domain: u16, python: &Path, name: &str, arguments: &[&str]) -> Run
     start(domain, python, &all, &[])
 }
 
+/// The number of a key in a line of JSON.
+pub fn number(line: &str, key: &str) -> f64 {
+    let rest = line.split(&format!("\"{key}\": ")).nth(1).unwrap();
+    rest.split([',', '}']).next().unwrap().parse().unwrap()
+}
+
 /// A node that acts on a timer.
 pub struct Timed(OnTimer);
 

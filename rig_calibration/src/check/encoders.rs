@@ -28,9 +28,6 @@ const NEAR: f64 = 0.4;
 const CLOCK: f64 = 0.3;
 
 /// Examines and corrects signs and order of the encoders; returns whether anything is wrong.
-///
-/// # Errors
-/// No pose fits the recording.
 pub(crate) fn examine(
     state: &mut Corrected,
     recording: &Recording,

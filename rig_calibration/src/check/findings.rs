@@ -5,7 +5,10 @@ use super::{
     groups::{Cause, GROUPS, Group},
     select::{MISFIT, Outcome},
 };
-use crate::parameters::{CAMERA_CLOCK, PRINCIPAL, Parameters};
+use crate::{
+    climber,
+    parameters::{CAMERA_CLOCK, Parameters},
+};
 use nalgebra::DVector;
 use rig_model::MarkerColor;
 use std::fmt;
@@ -176,7 +179,7 @@ pub(crate) fn report(
 
 /// A climber axis (x, y, turn) whose readings do not follow the motion.
 pub(crate) fn deaf(axis: usize) -> Finding {
-    let joint = ["rail_x", "rail_y", "turn"][axis.min(2)];
+    let joint = climber::AXES[axis.min(2)];
     Finding {
         blocks: true,
         ..Finding::wrong(
@@ -203,7 +206,6 @@ pub(super) fn row(
     let k = i - group.first;
     let axis = AXES[k.min(2)];
     let (unit, scale) = group.unit;
-    let point = file.camera.principal_point();
     let (name, unit, value, change, deviation) = match group.cause {
         Cause::Focal => {
             let f = file.camera.focal_lengths().x;
@@ -214,25 +216,14 @@ pub(super) fn row(
             let (change, deviation) = (change.exp_m1() * scale, change.exp() * deviation * scale);
             (name(group.cause).to_owned(), unit, 100.0, change, deviation)
         }
-        Cause::Principal => {
-            let c = point[i - PRINCIPAL.start];
-            (format!("camera_info: c{axis}"), "px", c, change, deviation)
-        }
-        Cause::Distortion => {
-            let d = file.camera.distortion().coefficients();
-            (format!("camera_info: d[{k}]"), "", d[k], change, deviation)
-        }
-        Cause::RailX | Cause::RailY | Cause::TurnScale => {
-            (name(group.cause).to_owned(), unit, 100.0, change * scale, deviation * scale)
-        }
         _ => {
             let file = file_value(group.cause, k, file) * scale;
             let name = match group.cause {
                 Cause::CameraYaw => "camera.orientation about z".to_owned(),
-                Cause::CameraTilt => format!("camera.orientation about {axis}"),
-                Cause::ImuTurn => format!("imu.orientation about {axis}"),
-                Cause::Marker(m) => format!("markers.{} {axis}", MarkerColor::ALL[m]),
-                Cause::ImuClock | Cause::ClimberClock => name(group.cause).to_owned(),
+                Cause::CameraTilt | Cause::ImuTurn => format!("{} about {axis}", name(group.cause)),
+                Cause::Principal => format!("camera_info: c{axis}"),
+                Cause::Distortion => format!("camera_info: d[{k}]"),
+                cause if group.count == 1 => name(cause).to_owned(),
                 cause => format!("{} {axis}", name(cause)),
             };
             (name, unit, file, change * scale, deviation * scale)
@@ -247,7 +238,13 @@ fn file_value(cause: Cause, k: usize, file: &Parameters) -> f64 {
         Cause::CameraPlace => file.rig.climber_from_camera.translation.vector[k],
         Cause::ImuPlace => file.rig.imu.volant_from_imu.translation.vector[k],
         Cause::Marker(m) => file.rig.markers.centers.0[m][k],
-        Cause::GyroScale | Cause::AccelerometerScale => 1.0,
+        Cause::Principal => file.camera.principal_point()[k],
+        Cause::Distortion => file.camera.distortion().coefficients()[k],
+        Cause::RailX
+        | Cause::RailY
+        | Cause::TurnScale
+        | Cause::GyroScale
+        | Cause::AccelerometerScale => 1.0,
         Cause::ClimberClock => file.climber_clock,
         _ => 0.0,
     }

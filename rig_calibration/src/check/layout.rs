@@ -86,18 +86,17 @@ pub(crate) fn examine(
     }
     let every = (shots.len() / COMPARED).max(1);
     let shots: Vec<_> = shots.into_iter().step_by(every).collect();
-    let costs: Vec<f64> =
-        candidates.iter().map(|c| cost(&c.layout, &state.samples.camera, &shots)).collect();
-    let file = costs[0];
-    let fits = (1..costs.len()).filter(|i| candidates[*i].moved.is_none() && costs[*i] < FITS);
-    let exact = fits.min_by(|a, b| costs[*a].total_cmp(&costs[*b]));
-    let moved = (1..costs.len())
-        .filter(|i| candidates[*i].moved.is_some())
-        .min_by(|a, b| costs[*a].total_cmp(&costs[*b]));
-    if let Some(i) = exact
-        && file > WORSE * costs[i].max(1.0)
+    let costs: Vec<(f64, &Candidate)> =
+        candidates.iter().map(|c| (cost(&c.layout, &state.samples.camera, &shots), c)).collect();
+    let file = costs[0].0;
+    let best = |moved: bool| {
+        let others = costs[1..].iter().filter(|(_, c)| c.moved.is_some() == moved);
+        others.min_by(|a, b| a.0.total_cmp(&b.0))
+    };
+    if let Some((least, c)) = best(false)
+        && *least < FITS
+        && file > WORSE * least.max(1.0)
     {
-        let c = &candidates[i];
         state.rig.markers = c.layout.clone();
         if c.key == MIRRORED {
             let other = candidates.iter().find(|o| o.key == MIRRORED && o.text != c.text);
@@ -108,11 +107,11 @@ pub(crate) fn examine(
             c.text.clone(),
             "compare the colors and coordinates in the rig file with the platform, seen from above",
         ));
-    } else if let Some(i) = moved
-        && file > WORSE * costs[i].max(FITS)
+    } else if let Some((least, c)) = best(true)
+        && file > WORSE * least.max(FITS)
     {
-        state.rig.markers = candidates[i].layout.clone();
-        state.moved = candidates[i].moved;
+        state.rig.markers = c.layout.clone();
+        state.moved = c.moved;
     }
     Ok(())
 }
@@ -215,11 +214,6 @@ fn candidates(file: &MarkerLayout) -> Vec<Candidate> {
         moved,
     };
     let mut list = vec![of(file.clone(), "", String::new(), None)];
-    let mirrored = |flip: Vector3<f64>| {
-        let mut layout = file.clone();
-        layout.centers.0.iter_mut().for_each(|c| c.coords.component_mul_assign(&flip));
-        layout
-    };
     for order in permutations().into_iter().skip(1) {
         let mut layout = file.clone();
         for (i, from) in order.iter().enumerate() {
@@ -228,11 +222,13 @@ fn candidates(file: &MarkerLayout) -> Vec<Candidate> {
         let (key, text) = exchanged(&order);
         list.push(of(layout, &key, text, None));
     }
-    for (flip, axis) in [(Vector3::new(1.0, -1.0, 1.0), "y"), (Vector3::new(-1.0, 1.0, 1.0), "x")] {
+    for (axis, name) in [(1, "y"), (0, "x")] {
+        let mut layout = file.clone();
+        layout.centers.0.iter_mut().for_each(|c| c[axis] = -c[axis]);
         let text = format!(
-            "the marker layout is mirrored: the signs of the {axis} coordinates are exchanged"
+            "the marker layout is mirrored: the signs of the {name} coordinates are exchanged"
         );
-        list.push(of(mirrored(flip), MIRRORED, text, None));
+        list.push(of(layout, MIRRORED, text, None));
     }
     for i in 0..4 {
         // The two neighbors of a marker are those that its opposite is not: try all three.

@@ -173,10 +173,10 @@ fn visual_rates(state: &Corrected, recording: &Recording) -> Vec<(f64, f64, Vect
     let up = rig.climber_from_camera.rotation.inverse() * Vector3::z();
     let tilt = planar_pose::TiltPrior { up_in_volant: Vector3::z(), up_in_camera: up, sigma: TILT };
     let covariance = Matrix2::identity() * 0.01;
-    let poses: Vec<Option<(f64, Isometry3<f64>)>> = recording
+    let poses: Vec<(f64, Isometry3<f64>)> = recording
         .shots
         .iter()
-        .map(|shot| {
+        .filter_map(|shot| {
             let measured = PerColor(shot.pixels.map(|pixel| Some((pixel, covariance))));
             let found =
                 planar_pose::candidates(&rig.markers, &recording.camera, &measured, Some(&tilt));
@@ -186,7 +186,6 @@ fn visual_rates(state: &Corrected, recording: &Recording) -> Vec<(f64, f64, Vect
             Some((shot.time, camera * found.first()?.camera_from_volant))
         })
         .collect();
-    let poses: Vec<(f64, Isometry3<f64>)> = poses.into_iter().flatten().collect();
     let mut rates = vec![];
     for (k, (from, first)) in poses.iter().enumerate() {
         let Some((to, last)) = poses[k..].iter().find(|(t, _)| *t >= from + SPAN) else { break };

@@ -110,9 +110,6 @@ pub(crate) fn priors(lens: &Distortion, freed: &[Cause], open: bool) -> Vec<f64>
 }
 
 /// Explains a recording; `moved` is a marker whose position is unknown.
-///
-/// # Errors
-/// The adjustment diverges.
 pub(crate) fn explain(
     work: Adjustment<'_>,
     moved: Option<usize>,
@@ -145,13 +142,13 @@ fn explain_files(
     work.solve()?;
     let mut noise;
     let local = loop {
-        let local = Local::of(&work).ok_or(diverged.clone())?;
-        let data = work.data_cost().ok_or(diverged.clone())?;
+        let local = Local::of(&work).ok_or(diverged)?;
+        let data = work.data_cost().ok_or(diverged)?;
         let freedom = 8.0 * work.used.iter().filter(|u| **u).count() as f64;
         let all: Vec<Cause> = GROUPS.iter().map(|g| g.cause).collect();
-        let least = local.step(&priors(&lens, &all, true)).ok_or(diverged.clone())?.0;
+        let least = local.step(&priors(&lens, &all, true)).ok_or(diverged)?.0;
         noise = ((data + least) / freedom).max(0.5);
-        let now = local.step(&priors(&lens, &causes(&freed), true)).ok_or(diverged.clone())?.0;
+        let now = local.step(&priors(&lens, &causes(&freed), true)).ok_or(diverged)?.0;
         let gain = |group: &Group| {
             let mut with = causes(&freed);
             with.push(group.cause);

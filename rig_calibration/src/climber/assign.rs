@@ -67,7 +67,7 @@ pub(super) fn assign(
             (vec![j], fit)
         });
         let (joints, fit) = best(fits.collect(), |j| prefer(j, &[2]))
-            .ok_or(ClimberError::FewImages(shots.len()))?;
+            .ok_or_else(|| ClimberError::few_images(shots.len()))?;
         enough(&fit, "turns", &series[joints[0]].name)?;
         Some((joints[0], fit.coefficients[0]))
     } else {
@@ -78,7 +78,11 @@ pub(super) fn assign(
     let rails = still.residual_axes;
     let count = rails.iter().filter(|&&s| s > MOVED[0]).count();
     if count == 0 && turn.is_none() {
-        return Err(ClimberError::Still { meters: rails[0], degrees: span(&yaw).to_degrees() });
+        let (meters, degrees) = (rails[0], span(&yaw).to_degrees());
+        return Err(ClimberError(format!(
+            "no axis moved: the camera's position varies by {meters:.3} m and {degrees:.1} deg; \
+             jog each axis by 0.3 m or 20 deg at least"
+        )));
     }
     let candidates: Vec<usize> =
         moving.iter().copied().filter(|j| turn.is_none_or(|t| t.0 != *j)).collect();
@@ -96,10 +100,9 @@ pub(super) fn assign(
     let mut axes = [None, None, turn];
     let mut platform_yaw = -yaw[0];
     if count > 0 {
-        let none = || ClimberError::NoJoint {
-            motion: "moves along two rails",
-            joint: candidates.first().map_or(String::new(), |&j| series[j].name.clone()),
-            percent: 0.0,
+        let none = || {
+            let joint = candidates.first().map_or("", |&j| series[j].name.as_str());
+            ClimberError::no_joint("moves along two rails", joint, 0.0)
         };
         let (joints, fit) = found.ok_or_else(none)?;
         let motion = if count == 1 { "moves along a rail" } else { "moves along two rails" };
@@ -155,12 +158,11 @@ fn best(fits: Vec<(Vec<usize>, Fit)>, prefer: impl Fn(usize) -> bool) -> Option<
         .max_by_key(|f| f.0.iter().filter(|&&j| prefer(j)).count())
 }
 
-fn enough(fit: &Fit, motion: &'static str, joint: &str) -> Result<(), ClimberError> {
+fn enough(fit: &Fit, motion: &str, joint: &str) -> Result<(), ClimberError> {
     if fit.explained > EXPLAINED {
         return Ok(());
     }
-    let percent = 100.0 * fit.explained.max(0.0);
-    Err(ClimberError::NoJoint { motion, joint: joint.to_owned(), percent })
+    Err(ClimberError::no_joint(motion, joint, 100.0 * fit.explained.max(0.0)))
 }
 
 /// Regresses the two coordinates on readings, each with a coefficient per coordinate, and on

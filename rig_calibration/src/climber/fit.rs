@@ -132,7 +132,8 @@ pub(super) fn fit(
     start[2] = assigned.platform_yaw;
     start[3..7].copy_from_slice(&[assigned.position.x, assigned.position.y, height, assigned.turn]);
     let mut problem = Problem { jog, shots: shots.iter().collect(), axes, first, start };
-    let solve = |problem: &Problem<'_>, p| problem.solve(p, rounds).ok_or(ClimberError::Diverged);
+    let solve =
+        |problem: &Problem<'_>, p| problem.solve(p, rounds).ok_or_else(ClimberError::diverged);
     let Solution { parameters, residuals, .. } = solve(&problem, DVector::from_row_slice(&start))?;
     // Images in which the tracker measured something else.
     let size = |i: usize| residuals.rows(8 * i, 8).norm();
@@ -143,13 +144,17 @@ pub(super) fn fit(
     let pixel_rms = PIXEL * (residuals.norm_squared() / residuals.len() as f64).sqrt();
     if pixel_rms > RESIDUAL {
         let millimeters = 1e3 * pixel_rms * height / jog.camera.focal_lengths().mean();
-        return Err(ClimberError::Moved { pixels: pixel_rms, millimeters });
+        return Err(ClimberError(format!(
+            "the markers are {pixel_rms:.1} px (RMS, {millimeters:.0} mm) from where the encoders \
+             put them; was the platform moved during the recording? lower it onto the floor and \
+             jog again"
+        )));
     }
     if !converged {
-        return Err(ClimberError::Diverged);
+        return Err(ClimberError::diverged());
     }
-    let covariance =
-        normal.try_inverse().ok_or(ClimberError::Diverged)? * (pixel_rms / PIXEL).powi(2).max(1.0);
+    let covariance = normal.try_inverse().ok_or_else(ClimberError::diverged)?
+        * (pixel_rms / PIXEL).powi(2).max(1.0);
     Ok(problem.result(&parameters, &covariance, pixel_rms))
 }
 

@@ -62,54 +62,31 @@ pub struct Jog<'a> {
     pub platform: Option<Vector3<f64>>,
 }
 
-/// Why a recording does not calibrate the encoders.
-#[derive(Clone, Debug, Error, PartialEq)]
-pub enum ClimberError {
-    /// Too few images with readings around them: this number.
-    #[error(
-        "only {0} images show all four markers while readings arrive; record the visible platform \
-         and joint_states for ten seconds at least"
-    )]
-    FewImages(usize),
-    /// Nothing moved.
-    #[error(
-        "no axis moved: the camera's position varies by {meters:.3} m and {degrees:.1} deg; jog \
-         each axis by 0.3 m or 20 deg at least"
-    )]
-    Still {
-        /// Largest distance between two images, m.
-        meters: f64,
-        /// Largest rotation, deg.
-        degrees: f64,
-    },
-    /// No joint follows a motion.
-    #[error(
-        "the images show that the climber {motion}, but no joint in joint_states follows it \
-         (the best one, `{joint}`, explains {percent:.0} %); is its encoder connected, and did \
-         the platform rest?"
-    )]
-    NoJoint {
-        /// What it does.
-        motion: &'static str,
-        /// The joint that fits best.
-        joint: String,
-        /// Share of the motion that it explains, %.
-        percent: f64,
-    },
-    /// The model does not fit the images.
-    #[error(
-        "the markers are {pixels:.1} px (RMS, {millimeters:.0} mm) from where the encoders put \
-         them; was the platform moved during the recording? lower it onto the floor and jog again"
-    )]
-    Moved {
-        /// RMS residual, px.
-        pixels: f64,
-        /// The same at the platform's distance, mm.
-        millimeters: f64,
-    },
-    /// The fit does not converge.
-    #[error("the fit does not converge; check the camera and the markers in the rig file")]
-    Diverged,
+/// Why a recording does not calibrate the encoders, with numbers and the remedy.
+#[derive(Clone, Debug, Error)]
+#[error("{0}")]
+pub struct ClimberError(String);
+
+impl ClimberError {
+    fn few_images(count: usize) -> Self {
+        Self(format!(
+            "only {count} images show all four markers while readings arrive; record the visible \
+             platform and joint_states for ten seconds at least"
+        ))
+    }
+
+    /// No joint follows a motion; `joint` explains most of it, `percent`.
+    fn no_joint(motion: &str, joint: &str, percent: f64) -> Self {
+        Self(format!(
+            "the images show that the climber {motion}, but no joint in joint_states follows it \
+             (the best one, `{joint}`, explains {percent:.0} %); is its encoder connected, and \
+             did the platform rest?"
+        ))
+    }
+
+    fn diverged() -> Self {
+        Self("the fit does not converge; check the camera and the markers in the rig file".into())
+    }
 }
 
 /// A value and its standard deviation.
@@ -174,7 +151,8 @@ impl Series {
 /// Determines joint names, signs, scales, zeros and height from a jog.
 ///
 /// # Errors
-/// [`ClimberError`]
+/// Too few images, no axis that moves, a motion that no joint follows, or a fit that does not
+/// converge or leaves large residuals.
 pub fn calibrate_climber(jog: &Jog<'_>) -> Result<ClimberCalibration, ClimberError> {
     calibrate_within(jog, ROUNDS)
 }
@@ -189,7 +167,7 @@ fn calibrate_within(jog: &Jog<'_>, rounds: usize) -> Result<ClimberCalibration, 
     series.retain(|s| 2 * covered(s) >= most);
     let shots = shots(jog, &images, &series, start);
     if shots.len() < FEWEST {
-        return Err(ClimberError::FewImages(shots.len()));
+        return Err(ClimberError::few_images(shots.len()));
     }
     let assigned = assign::assign(&shots, &series, &jog.preferred)?;
     fit::fit(jog, &shots, &series, &assigned, rounds)

@@ -3,19 +3,11 @@ use nalgebra::{Isometry3, Matrix2, Translation3, UnitQuaternion, Vector2};
 use rig_model::{Distortion, MarkerColor, MarkerObservation, MarkerState};
 use rig_simulator::random::Random;
 
-/// Encoders of a simulated climber: names, scales and zeros of the axes.
-struct Encoders {
-    names: [&'static str; 3],
-    scale: [f64; 3],
-    zero: [f64; 3],
-}
-
-const ENCODERS: Encoders = Encoders {
-    names: ["trolley", "bridge", "slewing"],
-    // Counts of 50 µm, backwards; millimeters; degrees, backwards.
-    scale: [-5e-5, 1e-3, -0.0174532925],
-    zero: [12_345.0, -250.0, 15.0],
-};
+/// Encoders of a simulated climber.
+const NAMES: [&str; 3] = ["trolley", "bridge", "slewing"];
+/// Counts of 50 µm, backwards; millimeters; degrees, backwards.
+const SCALES: [f64; 3] = [-5e-5, 1e-3, -0.0174532925];
+const ZEROS: [f64; 3] = [12_345.0, -250.0, 15.0];
 
 /// World pose of the resting platform: a sloping floor.
 fn platform() -> Isometry3<f64> {
@@ -86,13 +78,10 @@ fn record(
     }
     for i in 0..29 * 50 {
         let t = f64::from(i) / 50.0 - 0.5;
-        let e = ENCODERS;
-        let value = |i: usize| e.zero[i] + at(t)[i] / e.scale[i] + 0.3 * random_step(i, t);
+        let value = |i: usize| ZEROS[i] + at(t)[i] / SCALES[i] + 0.3 * random_step(i, t);
         recorded.joints.push(JointReadings {
             stamp: Stamp::from_nanos(1_000_000_000_000).plus_seconds(t + late),
-            names: ["gripper", e.names[2], e.names[0], "spare", e.names[1]]
-                .map(Into::into)
-                .to_vec(),
+            names: ["gripper", NAMES[2], NAMES[0], "spare", NAMES[1]].map(Into::into).to_vec(),
             positions: vec![(7.0 * t).sin(), value(2), value(0).round(), 3.0, value(1)],
         });
     }
@@ -136,11 +125,11 @@ fn names_signs_scales_zeros_and_height_are_found() {
     let found = calibrate(&recorded, &rig(), Some(at)).unwrap();
     for (i, name) in AXES.into_iter().enumerate() {
         let axis = found.axes[i].as_ref().unwrap();
-        assert_eq!(axis.joint, ENCODERS.names[i]);
-        let scale = ENCODERS.scale[i];
+        assert_eq!(axis.joint, NAMES[i]);
+        let scale = SCALES[i];
         assert_near(name, axis.scale, scale, 2e-3 * scale.abs());
         // 3 mm, 0.2 deg.
-        assert_near(name, axis.zero.unwrap(), ENCODERS.zero[i], 3e-3 / scale.abs());
+        assert_near(name, axis.zero.unwrap(), ZEROS[i], 3e-3 / scale.abs());
     }
     assert_near("height", found.height.unwrap(), 2.4, 5e-3);
     assert_near("time", found.time_offset, 0.02, 2e-3);
@@ -167,7 +156,7 @@ fn a_wrong_camera_mounting_is_found_where_the_turn_shows_it() {
     let [x, y] = found.camera_tilt.unwrap();
     assert_near("tilt x", x, 0.03, 2e-3);
     assert_near("tilt y", y, -0.02, 2e-3);
-    assert_near("scale", found.axes[0].as_ref().unwrap().scale, ENCODERS.scale[0], 2e-7);
+    assert_near("scale", found.axes[0].as_ref().unwrap().scale, SCALES[0], 2e-7);
     assert_near("height", found.height.unwrap(), 2.4, 5e-3);
     // A fit that has not converged is none.
     assert!(calibrate_in(&recorded, &rig(), Some(at), 1).is_err());
@@ -181,16 +170,16 @@ fn an_axis_that_does_not_move_is_unobservable() {
         let found = calibrate(&record(&rig(), moving, |_| platform(), 0.0), &rig(), None).unwrap();
         for (i, name) in AXES.into_iter().enumerate() {
             let axis = found.axes[i].as_ref();
-            assert_eq!(axis.map(|a| a.joint.as_str()), moving[i].then_some(ENCODERS.names[i]));
+            assert_eq!(axis.map(|a| a.joint.as_str()), moving[i].then_some(NAMES[i]));
             if let Some(axis) = axis {
-                assert_near(name, axis.scale, ENCODERS.scale[i], 4e-3 * ENCODERS.scale[i].abs());
+                assert_near(name, axis.scale, SCALES[i], 4e-3 * SCALES[i].abs());
             }
         }
     }
     let found = calibrate(&record(&rig(), [false, false, true], |_| platform(), 0.0), &rig(), None);
     assert_eq!(found.unwrap().axes.map(|a| a.map(|a| a.zero)), [None, None, Some(None)]);
-    let error = calibrate(&record(&rig(), [false; 3], |_| platform(), 0.0), &rig(), None);
-    assert!(matches!(error, Err(ClimberError::Still { .. })), "{error:?}");
+    let still = calibrate(&record(&rig(), [false; 3], |_| platform(), 0.0), &rig(), None);
+    assert!(still.unwrap_err().to_string().starts_with("no axis moved"));
 }
 
 #[test]
@@ -205,7 +194,7 @@ fn a_joint_that_is_published_once_a_second_does_not_matter() {
         .collect();
     recorded.joints.extend(slow);
     let found = calibrate(&recorded, &rig(), None).unwrap();
-    assert_eq!(found.axes.map(|a| a.unwrap().joint), ENCODERS.names.map(str::to_owned));
+    assert_eq!(found.axes.map(|a| a.unwrap().joint), NAMES.map(str::to_owned));
 }
 
 #[test]
@@ -221,5 +210,5 @@ fn a_moved_platform_and_a_missing_encoder_are_refused() {
     assert!(error.to_string().contains("turns, but no joint"), "{error}");
     recorded.joints.truncate(60);
     let error = calibrate(&recorded, &rig(), None).unwrap_err();
-    assert!(matches!(error, ClimberError::FewImages(_)), "{error}");
+    assert!(error.to_string().contains("images show all four markers"), "{error}");
 }

@@ -23,15 +23,10 @@ impl Distortion {
         }
     }
 
-    /// Distorts normalized coordinates (x/z, y/z); `None` beyond `max_radius`.
+    /// Distorts normalized coordinates (x/z, y/z), with the derivative ∂distorted/∂undistorted;
+    /// `None` beyond `max_radius`.
     #[inline]
-    pub(super) fn apply(&self, n: &Vector2<f64>, max_radius: f64) -> Option<Vector2<f64>> {
-        self.apply_with_jacobian(n, max_radius).map(|(distorted, _)| distorted)
-    }
-
-    /// [`Distortion::apply`] with its derivative ∂distorted/∂undistorted.
-    #[inline]
-    pub(super) fn apply_with_jacobian(
+    pub(super) fn apply(
         &self,
         n: &Vector2<f64>,
         max_radius: f64,

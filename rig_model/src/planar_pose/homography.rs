@@ -60,8 +60,11 @@ pub fn from_homography(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{camera::Distortion, marker::PerColor};
-    use nalgebra::{Matrix2, Point3};
+    use crate::{
+        marker::PerColor,
+        planar_pose::tests::{pose, rig},
+    };
+    use nalgebra::{Matrix2, Point3, Vector2};
     use proptest::prelude::*;
 
     proptest! {
@@ -73,14 +76,8 @@ mod tests {
             let at = |x, y| Point3::new(x, y, 0.02);
             let centers = [at(0.15, 0.14), at(-0.15, 0.16), at(-0.16, -0.15), at(0.15, -0.14)];
             let layout = MarkerLayout { side: 0.0, centers: PerColor(centers) };
-            let lens = Distortion::PlumbBob([-0.23, 0.082, 7e-4, -4e-4, -0.006]);
-            let camera = CameraModel::new(640, 480, [591.0, 589.0, 319.3, 235.2], lens).unwrap();
-            let lean: UnitQuaternion<f64> = UnitQuaternion::from_scaled_axis(
-                Vector3::new(f64::cos(direction), f64::sin(direction), 0.0) * tilt,
-            );
-            let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
-            let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
-            let truth = Isometry3::from_parts(Translation3::new(x, y, z), down * lean * turn);
+            let (_, camera) = rig();
+            let truth = pose(x, y, z, tilt, direction, yaw);
             let mut pixels = PerColor::from_fn(|c| {
                 let place = layout.projected_centroid(c, &camera, &truth)?;
                 Some((place.pixel, Matrix2::identity()))
@@ -101,10 +98,9 @@ mod tests {
             side: 0.0,
             centers: PerColor([0.0, 0.1, 0.2, 0.3].map(|x| Point3::new(x, 0.0, 0.0))),
         };
-        let lens = Distortion::PlumbBob([0.0; 5]);
-        let camera = CameraModel::new(640, 480, [600.0, 600.0, 319.5, 239.5], lens).unwrap();
+        let (_, camera) = rig();
         let pixels = PerColor::from_fn(|c| {
-            Some((nalgebra::Vector2::new(100.0 * c.index() as f64, 240.0), Matrix2::identity()))
+            Some((Vector2::new(100.0 * c.index() as f64, 240.0), Matrix2::identity()))
         });
         assert!(from_homography(&layout, &camera, &pixels).is_none());
     }

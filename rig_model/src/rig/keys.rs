@@ -85,20 +85,15 @@ impl<'a> Reader<'a> {
     fn get<T>(
         &self,
         key: &str,
-        expected: &'static str,
+        expected: &str,
         convert: impl Fn(&ParameterValue) -> Option<T>,
     ) -> Result<T, RigError> {
+        let invalid =
+            |found: String| RigError::Key(format!("`{key}` is {found}; it must hold {expected}"));
         let default = || self.defaults.iter().find(|d| d.name == key)?.default.as_ref();
-        let value = self
-            .map
-            .get(key)
-            .or_else(default)
-            .ok_or_else(|| RigError::Missing { key: key.to_owned(), expected })?;
-        convert(value).ok_or_else(|| RigError::Type {
-            key: key.to_owned(),
-            found: ParameterKind::of(value).name(),
-            expected,
-        })
+        let value =
+            self.map.get(key).or_else(default).ok_or_else(|| invalid("missing".to_owned()))?;
+        convert(value).ok_or_else(|| invalid(format!("a {}", ParameterKind::of(value).name())))
     }
 
     pub(super) fn text(&self, key: &str) -> Result<String, RigError> {
@@ -113,7 +108,7 @@ impl<'a> Reader<'a> {
         if x.is_finite() && x > 0.0 {
             return Ok(x);
         }
-        Err(RigError::value(key, x.to_string(), "it must be greater than zero"))
+        Err(RigError::value(key, x, "it must be greater than zero"))
     }
 
     /// `markers.size`.
@@ -137,11 +132,7 @@ impl<'a> Reader<'a> {
         }
     }
 
-    fn numbers<const N: usize>(
-        &self,
-        key: &str,
-        expected: &'static str,
-    ) -> Result<[f64; N], RigError> {
+    fn numbers<const N: usize>(&self, key: &str, expected: &str) -> Result<[f64; N], RigError> {
         let list = self.get(key, expected, ParameterValue::as_f64_array)?;
         let numbers: [f64; N] = list.as_slice().try_into().map_err(|_| {
             RigError::value(key, format!("a list of {} numbers", list.len()), expected)

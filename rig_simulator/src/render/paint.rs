@@ -13,9 +13,7 @@ impl Renderer {
         let width = self.camera.size().0 as usize;
         if drawn.grain == 0.0 && self.scene.shadows.is_empty() {
             self.coverage.fill(&drawn.contours, |x, y, share| {
-                for (value, new) in canvas[y * width + x].iter_mut().zip(drawn.colour) {
-                    *value += share * (new - *value);
-                }
+                blend(&mut canvas[y * width + x], drawn.colour, share);
             });
             return;
         }
@@ -45,22 +43,8 @@ impl Renderer {
                 let place = (world_from_volant * Point3::new(u, v, height)).coords.xy();
                 Shadow::light_of_all(shadows, place, platform, seconds, s.abs() / focal)
             };
-            for ((value, new), shade) in canvas[at].iter_mut().zip(drawn.colour).zip(shade) {
-                *value += share * (new * noise * shade - *value);
-            }
+            let colour = std::array::from_fn(|i| drawn.colour[i] * noise * shade[i]);
+            blend(&mut canvas[at], colour, share);
         });
-    }
-
-    /// Share of the light that the shadows leave at a place of the floor (world frame, m),
-    /// `distance` (m) from the camera.
-    pub(super) fn shade(
-        &self,
-        place: Vector2<f32>,
-        platform: Vector2<f32>,
-        seconds: f64,
-        distance: f32,
-    ) -> [f32; 3] {
-        let pixel = distance / self.camera.focal_lengths().x as f32;
-        Shadow::light_of_all(&self.scene.shadows, place, platform, seconds, pixel)
     }
 }

@@ -58,8 +58,7 @@ macro_rules! types {
 
         /// A message of each type with nothing in it, preceded by its number.
         fn empty() -> Vec<Vec<u8>> {
-            let makers: &[fn(usize) -> Vec<u8>] = &[$(|number| seed(number, &<$t>::default())),*];
-            makers.iter().enumerate().map(|(number, make)| make(number)).collect()
+            vec![$(seed(&<$t>::default())),*]
         }
 
         fn number<M: Message>() -> usize {
@@ -94,8 +93,9 @@ types!(
     ChangeStateRequest,
 );
 
-fn seed<M: Message>(number: usize, message: &M) -> Vec<u8> {
-    let mut seed = vec![number as u8];
+/// A message, preceded by the number of its type.
+fn seed<M: Message>(message: &M) -> Vec<u8> {
+    let mut seed = vec![number::<M>() as u8];
     seed.extend(cdr::to_bytes(message));
     seed
 }
@@ -196,11 +196,6 @@ fn joints(m: &JointState) {
 
 pub fn seeds() -> Vec<Vec<u8>> {
     let mut seeds = empty();
-    let mut add = |number: usize, bytes: Vec<u8>| {
-        let mut seed = vec![number as u8];
-        seed.extend(bytes);
-        seeds.push(seed);
-    };
     let header =
         volant_msgs::std_msgs::msg::Header { frame_id: "world".into(), ..Default::default() };
     let joint_state = JointState {
@@ -209,7 +204,7 @@ pub fn seeds() -> Vec<Vec<u8>> {
         position: vec![1.0, 2.0, 0.1],
         ..JointState::default()
     };
-    add(number::<JointState>(), cdr::to_bytes(&joint_state));
+    seeds.push(seed(&joint_state));
     let markers = MarkerObservations {
         header: header.clone(),
         markers: (0..4)
@@ -222,7 +217,7 @@ pub fn seeds() -> Vec<Vec<u8>> {
             })
             .collect(),
     };
-    add(number::<MarkerObservations>(), cdr::to_bytes(&markers));
+    seeds.push(seed(&markers));
     let camera = CameraInfo {
         width: 640,
         height: 480,
@@ -231,7 +226,7 @@ pub fn seeds() -> Vec<Vec<u8>> {
         k: [600.0, 0.0, 320.0, 0.0, 600.0, 240.0, 0.0, 0.0, 1.0],
         ..CameraInfo::default()
     };
-    add(number::<CameraInfo>(), cdr::to_bytes(&camera));
+    seeds.push(seed(&camera));
     let image = Image {
         width: 4,
         height: 2,
@@ -240,28 +235,21 @@ pub fn seeds() -> Vec<Vec<u8>> {
         data: vec![7; 24],
         ..Image::default()
     };
-    add(number::<Image>(), cdr::to_bytes(&image));
+    seeds.push(seed(&image));
     let image = CompressedImage {
         format: "png".into(),
         data: super::image::png(3, 2, 2, 8, 99),
         ..Default::default()
     };
-    add(number::<CompressedImage>(), cdr::to_bytes(&image));
-    let transform = TransformStamped {
-        header: header.clone(),
-        child_frame_id: "climber".into(),
-        ..Default::default()
-    };
-    add(number::<TransformStamped>(), cdr::to_bytes(&transform));
-    add(
-        number::<TFMessage>(),
-        cdr::to_bytes(&TFMessage { transforms: vec![transform.clone(), transform] }),
-    );
+    seeds.push(seed(&image));
+    let transform =
+        TransformStamped { header, child_frame_id: "climber".into(), ..Default::default() };
+    seeds.push(seed(&transform));
+    seeds.push(seed(&TFMessage { transforms: vec![transform.clone(), transform] }));
     let mut set = Parameter { name: "rate".into(), ..Parameter::default() };
     set.value.r#type = 3;
     set.value.double_value = 100.0;
     set.value.string_array_value = vec!["a".into(), String::new()];
-    let request = SetParametersRequest { parameters: vec![set.clone(), set] };
-    add(number::<SetParametersRequest>(), cdr::to_bytes(&request));
+    seeds.push(seed(&SetParametersRequest { parameters: vec![set.clone(), set] }));
     seeds
 }

@@ -9,57 +9,35 @@ pub mod imu;
 pub mod mutate;
 pub mod yaml;
 
+type Run = fn(&[u8]);
+type Seeds = fn() -> Vec<Vec<u8>>;
+type Words = &'static [&'static [u8]];
+
 /// A parser, what is done with it, and right inputs to start from.
 pub struct Target {
     /// As the fuzz target's executable is called.
     pub name: &'static str,
     /// Takes any bytes.
-    pub run: fn(&[u8]),
+    pub run: Run,
     /// Right inputs.
-    pub seeds: fn() -> Vec<Vec<u8>>,
+    pub seeds: Seeds,
     /// Words of the format, for the mutator.
-    pub words: &'static [&'static [u8]],
+    pub words: Words,
+}
+
+const fn target(name: &'static str, run: Run, seeds: Seeds, words: Words) -> Target {
+    Target { name, run, seeds, words }
 }
 
 /// All of them.
 pub const TARGETS: [Target; 9] = [
-    Target { name: "cdr", run: cdr::run, seeds: cdr::seeds, words: cdr::WORDS },
-    Target {
-        name: "parameters",
-        run: yaml::parameters,
-        seeds: yaml::parameter_seeds,
-        words: yaml::WORDS,
-    },
-    Target {
-        name: "calibration",
-        run: yaml::calibration,
-        seeds: yaml::calibration_seeds,
-        words: yaml::WORDS,
-    },
-    Target {
-        name: "metadata",
-        run: yaml::metadata,
-        seeds: yaml::metadata_seeds,
-        words: yaml::WORDS,
-    },
-    Target { name: "image", run: image::run, seeds: image::seeds, words: image::WORDS },
-    Target { name: "bag", run: bag::run, seeds: bag::seeds, words: bag::WORDS },
-    Target {
-        name: "stream",
-        run: |data| imu::run(imu::stream, data),
-        seeds: imu::seeds,
-        words: imu::WORDS,
-    },
-    Target {
-        name: "log",
-        run: |data| imu::run(imu::log, data),
-        seeds: imu::seeds,
-        words: imu::WORDS,
-    },
-    Target {
-        name: "driver",
-        run: |data| imu::run(imu::driver, data),
-        seeds: imu::seeds,
-        words: imu::WORDS,
-    },
+    target("cdr", cdr::run, cdr::seeds, cdr::WORDS),
+    target("parameters", yaml::parameters, yaml::parameter_seeds, yaml::WORDS),
+    target("calibration", yaml::calibration, yaml::calibration_seeds, yaml::WORDS),
+    target("metadata", yaml::metadata, yaml::metadata_seeds, yaml::WORDS),
+    target("image", image::run, image::seeds, image::WORDS),
+    target("bag", bag::run, bag::seeds, bag::WORDS),
+    target("stream", |data| imu::run(imu::stream, data), imu::seeds, imu::WORDS),
+    target("log", |data| imu::run(imu::log, data), imu::seeds, imu::WORDS),
+    target("driver", |data| imu::run(imu::driver, data), imu::seeds, imu::WORDS),
 ];

@@ -2,12 +2,11 @@
 
 use crate::{
     allocations,
-    measure::{Record, mean_and_deviation, median},
-    methods::{AprilTag, Aruco, Carrier, Method, Ours, Recipe, Sift},
+    measure::{Record, median},
+    methods::{AprilTag, Aruco, Carrier, Method, Ours, Recipe, Sift, sift},
     progress::Progress,
     report::{Csv, Targets, number},
     scene::{Frame, Pinhole, PlateKind},
-    sift_texture,
     stage::{FOOTPRINT, Stage},
     trajectory,
 };
@@ -37,7 +36,7 @@ pub fn methods(camera: &Pinhole, layout: &MarkerLayout, seed: u64) -> Result<Vec
         Box::new(Aruco::new(camera, FOOTPRINT)?),
         Box::new(AprilTag::new(camera, 1, FOOTPRINT)?),
         Box::new(AprilTag::new(camera, 2, FOOTPRINT)?),
-        Box::new(Sift::new(camera, &sift_texture::texture(seed), FOOTPRINT)?),
+        Box::new(Sift::new(camera, &sift::texture(seed), FOOTPRINT)?),
     ])
 }
 
@@ -99,7 +98,7 @@ pub fn run(images: usize, seed: u64, progress: &Progress) -> Result<Outcome> {
         // caches that another method leaves are not its cost. The first frame of a block shows
         // their effect.
         for (index, (method, record)) in methods.iter_mut().zip(&mut records).enumerate() {
-            let carrier = method.carrier() as usize;
+            let carrier = method.about().carrier as usize;
             for (i, (_, pose, shots, truths)) in scenes.iter().enumerate() {
                 let estimate = method.estimate(&fresh(&shots[carrier]))?;
                 if index == 0 && i == 0 {
@@ -142,8 +141,8 @@ pub fn run(images: usize, seed: u64, progress: &Progress) -> Result<Outcome> {
     }
     allocated.sort_unstable();
     Ok(Outcome {
-        records: methods.iter().map(|m| m.name()).zip(records).collect(),
-        stages: methods.iter().map(|m| m.stages()).collect(),
+        records: methods.iter().map(|m| m.about().name).zip(records).collect(),
+        stages: methods.iter().map(|m| m.about().stages).collect(),
         acquisition_us: [median(first), median(again)],
         cold_us: median(cold),
         acquired: acquired as f64 / tried as f64,
@@ -256,7 +255,7 @@ impl Outcome {
             "translation_rmse_mm,rotation_rmse_deg,success,gross_errors"
         ));
         for (name, r) in &self.records {
-            csv.row(&[
+            csv.row([
                 (*name).into(),
                 number(r.median_us(), 2),
                 number(r.median_us() / recipe, 5),
@@ -280,20 +279,20 @@ impl Outcome {
         let names = ["optical flow", "tracking", "feature extraction", "extrinsics"];
         for (i, name) in names.iter().enumerate() {
             let own = if i == 3 { number(ours.stage_us(1) * 1e-3, 5) } else { String::new() };
-            csv.row(&[
+            csv.row([
                 (*name).into(),
                 number(PUBLISHED_MS[i], 2),
                 number(recipe.stage_us(i) * 1e-3, 4),
                 own,
             ]);
         }
-        csv.row(&[
+        csv.row([
             "flow, tracking and extraction".into(),
             number(PUBLISHED_MS[..3].iter().sum(), 2),
             number((0..3).map(|i| recipe.stage_us(i)).sum::<f64>() * 1e-3, 4),
             number(ours.stage_us(0) * 1e-3, 5),
         ]);
-        csv.row(&[
+        csv.row([
             "total".into(),
             number(PUBLISHED_MS.iter().sum(), 2),
             number(recipe.median_us() * 1e-3, 4),
@@ -306,14 +305,7 @@ impl Outcome {
     pub fn fig_12(&self) -> Csv {
         let mut csv = Csv::new("method,mean_mm,std_mm,mean_deg,std_deg");
         for (name, r) in &self.records {
-            let (mm, deg) = (mean_and_deviation(&r.millimetres), mean_and_deviation(&r.degrees));
-            csv.row(&[
-                (*name).into(),
-                number(mm.0, 4),
-                number(mm.1, 4),
-                number(deg.0, 5),
-                number(deg.1, 5),
-            ]);
+            csv.row([(*name).to_owned()].into_iter().chain(r.error_cells()));
         }
         csv
     }

@@ -149,27 +149,23 @@ pub fn run(folder: &Path, per_condition: usize, seed: u64, progress: &Progress) 
         }
         let mut line = format!("{tilt_deg:<10}");
         for (index, (name, record)) in NAMES.iter().zip(&records).enumerate() {
-            let (mm, deg) =
-                (mean_and_deviation(&record.millimetres), mean_and_deviation(&record.degrees));
-            let cells = [
+            let found = record.millimetres.len();
+            let mut cells = vec![
                 number(tilt_deg, 0),
                 (*name).into(),
                 record.images.to_string(),
-                record.millimetres.len().to_string(),
-                number(mm.0, 4),
-                number(mm.1, 4),
-                number(deg.0, 5),
-                number(deg.1, 5),
+                found.to_string(),
             ];
+            cells.extend(record.error_cells());
             if index < 2 {
-                fig_2.row(&cells);
+                fig_2.row(cells.clone());
             }
-            fig_7.row(&cells);
-            let found = 100.0 * record.millimetres.len() as f64 / record.images as f64;
-            line += &format!(
-                "{:>34}",
-                format!("{} mm {} deg {found:.0} %", number(mm.0, 2), number(deg.0, 3))
-            );
+            fig_7.row(cells);
+            let (mm, deg) =
+                (mean_and_deviation(&record.millimetres).0, mean_and_deviation(&record.degrees).0);
+            let share = 100.0 * found as f64 / record.images as f64;
+            let shown = format!("{} mm {} deg {share:.0} %", number(mm, 2), number(deg, 3));
+            line += &format!("{shown:>34}");
         }
         println!("{line}");
     }

@@ -16,11 +16,6 @@ mod stage;
 mod sweep;
 mod trajectory;
 
-/// The texture of the SIFT plate.
-mod sift_texture {
-    pub use crate::methods::{CELLS, texture};
-}
-
 use crate::progress::Progress;
 use anyhow::{Context, Result};
 use clap::{Parser, Subcommand};

@@ -1,6 +1,6 @@
 //! Sums that become the figures of a table.
 
-use crate::methods::Estimate;
+use crate::{methods::Estimate, report::number};
 use nalgebra::{Isometry3, Vector2};
 use std::time::Duration;
 
@@ -89,6 +89,12 @@ impl Record {
     /// RMSE of the rotation, degrees.
     pub fn rotation_rmse(&self) -> f64 {
         rms(&self.degrees)
+    }
+
+    /// Mean and deviation of the translation errors, mm, and of the rotation errors, degrees.
+    pub fn error_cells(&self) -> [String; 4] {
+        let (mm, deg) = (mean_and_deviation(&self.millimetres), mean_and_deviation(&self.degrees));
+        [number(mm.0, 4), number(mm.1, 4), number(deg.0, 5), number(deg.1, 5)]
     }
 
     pub fn success(&self) -> f64 {

@@ -17,11 +17,9 @@ impl Csv {
     }
 
     /// One row; a cell with a comma is quoted.
-    pub fn row(&mut self, cells: &[String]) {
-        let quoted: Vec<String> = cells
-            .iter()
-            .map(|c| if c.contains(',') { format!("\"{c}\"") } else { c.clone() })
-            .collect();
+    pub fn row(&mut self, cells: impl IntoIterator<Item = String>) {
+        let quote = |c: String| if c.contains(',') { format!("\"{c}\"") } else { c };
+        let quoted: Vec<String> = cells.into_iter().map(quote).collect();
         self.0.push_str(&quoted.join(","));
         self.0.push('\n');
     }

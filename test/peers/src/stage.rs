@@ -3,9 +3,8 @@
 
 use crate::{
     boards,
-    methods::{Carrier, tag_frame},
+    methods::{Carrier, sift, tag_frame},
     scene::{Canvas, Floor, Frame, Light, Pinhole, Plate, Rng, Thing},
-    sift_texture,
 };
 use anyhow::Result;
 use nalgebra::{Isometry3, Vector2};
@@ -51,7 +50,7 @@ impl Stage {
         let plates = [
             Plate::markers(VIVID, &mut rng),
             Plate::cells(10, tag_frame()?, [225.0; 3]),
-            Plate::cells(sift_texture::CELLS, sift_texture::texture(seed), [118.0, 116.0, 112.0]),
+            Plate::cells(sift::CELLS, sift::texture(seed), [118.0, 116.0, 112.0]),
             Plate::cells(boards::CELLS, boards::board(), [225.0; 3]),
         ];
         Ok(Self { canvas: Canvas::new(camera.width, camera.height), camera, floor, plates, seed })

@@ -3,7 +3,7 @@
 
 use crate::{
     bench,
-    measure::{Record, mean_and_deviation},
+    measure::Record,
     methods::Carrier,
     progress::Progress,
     report::{Csv, Targets, number},
@@ -84,7 +84,7 @@ pub fn run(folder: &Path, per_condition: usize, seed: u64, progress: &Progress) 
     println!("success (a pose within 5 mm and 1 deg) in % of {per_condition} images");
     print!("{:<12} {:>6}", "sweep", "value");
     for method in &methods {
-        print!(" {:>12}", method.name().chars().take(12).collect::<String>());
+        print!(" {:>12}", method.about().name.chars().take(12).collect::<String>());
     }
     println!(" {:>12}", "our px RMS");
     for (done, condition) in conditions.iter().enumerate() {
@@ -98,27 +98,24 @@ pub fn run(folder: &Path, per_condition: usize, seed: u64, progress: &Progress) 
                 let shots = [Carrier::Markers, Carrier::Tag, Carrier::Texture]
                     .map(|c| stage.shoot(c, &pose, number_of_picture));
                 for (method, record) in methods.iter_mut().zip(&mut records) {
-                    let estimate = method.estimate(&shots[method.carrier() as usize])?;
-                    record.add(&estimate, &pose, &stage.truth(method.carrier(), &pose));
+                    let carrier = method.about().carrier;
+                    let estimate = method.estimate(&shots[carrier as usize])?;
+                    record.add(&estimate, &pose, &stage.truth(carrier, &pose));
                 }
             }
         }
         print!("{:<12} {:>6}", condition.sweep, condition.value);
         for (method, record) in methods.iter().zip(&records) {
             print!(" {:>12.0}", 100.0 * record.success());
-            let (mm, deg) =
-                (mean_and_deviation(&record.millimetres), mean_and_deviation(&record.degrees));
-            csv.row(&[
+            let mut row = vec![
                 condition.sweep.into(),
                 condition.value.to_string(),
-                method.name().into(),
+                method.about().name.into(),
                 number(record.success(), 4),
-                number(mm.0, 4),
-                number(mm.1, 4),
-                number(deg.0, 5),
-                number(deg.1, 5),
-                number(record.pixel_rms(), 5),
-            ]);
+            ];
+            row.extend(record.error_cells());
+            row.push(number(record.pixel_rms(), 5));
+            csv.row(row);
         }
         println!(" {:>12}", number(records[0].pixel_rms(), 4));
         ours += records[0].successes as f64;

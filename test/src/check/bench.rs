@@ -11,7 +11,7 @@ use rig_model::{
     score::{Truth, TruthSample},
 };
 use rig_simulator::{
-    inertial::{Message, SensorConfig, Sensors},
+    inertial::{SensorConfig, Sensors},
     motion::{Motion, MotionConfig},
 };
 use std::path::{Path, PathBuf};
@@ -84,14 +84,7 @@ impl Bench {
         let recorded = Sensors::new(&motion, &rig, &camera, &sensors).record();
         let start = sensors.epoch;
         let mut inputs: Vec<(Stamp, Input)> = vec![(start, Input::Camera(camera))];
-        inputs.extend(recorded.into_iter().map(|(at, message)| {
-            let input = match message {
-                Message::Imu(s) => Input::Imu(s),
-                Message::Markers(s) => Input::Markers(s),
-                Message::Climber(s) => Input::Climber(s),
-            };
-            (at, input)
-        }));
+        inputs.extend(recorded.into_iter().map(|(at, message)| (at, message.into())));
         let truth = Truth::new(vec![TruthSample {
             stamp: start,
             world_from_volant: motion.world_from_volant(0.0),

@@ -2,7 +2,7 @@
 //! it.
 
 use crate::robustness::{
-    perturbation::{Perturbation as P, each_imu},
+    perturbation::{self, Perturbation as P, each_camera, each_imu},
     recording::Recording,
 };
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
@@ -204,17 +204,14 @@ fn each_center(rig: &mut Rig, f: impl FnMut(&mut nalgebra::Point3<f64>)) {
 }
 
 fn lens(r: &mut Recording, change: impl Fn([f64; 5]) -> [f64; 5]) {
-    for (_, input) in &mut r.inputs {
-        if let Input::Camera(camera) = input
-            && let Distortion::PlumbBob(d) = camera.distortion()
-        {
-            let (f, c, (w, h)) = (camera.focal_lengths(), camera.principal_point(), camera.size());
-            let changed = Distortion::PlumbBob(change(*d));
-            if let Ok(changed) = CameraModel::new(w, h, [f.x, f.y, c.x, c.y], changed) {
-                *camera = changed;
-            }
+    each_camera(r, |camera| {
+        let (f, c, (w, h)) = (camera.focal_lengths(), camera.principal_point(), camera.size());
+        let Distortion::PlumbBob(d) = camera.distortion() else { return };
+        let changed = Distortion::PlumbBob(change(*d));
+        if let Ok(changed) = CameraModel::new(w, h, [f.x, f.y, c.x, c.y], changed) {
+            *camera = changed;
         }
-    }
+    });
 }
 
 fn imu_late(r: &mut Recording, seconds: f64) {
@@ -232,11 +229,7 @@ fn moved(sample: &mut ClimberSample, change: &mut impl FnMut(&mut Vector3<f64>, 
 
 /// Changes position and turn of each climber pose.
 fn each_climber(r: &mut Recording, mut change: impl FnMut(&mut Vector3<f64>, &mut f64)) {
-    for (_, input) in &mut r.inputs {
-        if let Input::Climber(sample) = input {
-            moved(sample, &mut change);
-        }
-    }
+    perturbation::each_climber(r, |sample| moved(sample, &mut change));
 }
 
 /// A second rig publishes on the same topic, elsewhere on the rails.

@@ -8,29 +8,21 @@ pub(crate) mod outcome;
 mod recording;
 mod table;
 
-pub use outcome::{Outcome, Verdict};
+pub use outcome::Outcome;
 pub use table::table;
 
-use crate::live::{ImageSequence, Run, Scenario, Site, bag};
+use crate::{
+    live::{ImageSequence, Run, Scenario, Site, bag},
+    report::verdict,
+};
 use anyhow::{Result, anyhow};
 use node_kit::environment::Network;
-use rig_model::Stamp;
 use std::{fmt::Write, path::Path, sync::Arc};
 
 /// Seconds of the scenario at which a fault begins and ends.
 pub const WINDOW: [f64; 2] = [2.0, 5.0];
 /// Length of the scenario, s.
 pub const LENGTH: f64 = 9.0;
-
-/// A live rig, and what a fault needs of it.
-pub struct Bench<'a> {
-    pub run: &'a mut Run,
-    /// Stamp of the scenario's zero.
-    pub epoch: Stamp,
-    pub scenario: &'a Scenario,
-    /// What the row itself found.
-    pub notes: &'a mut Notes,
-}
 
 /// What a row finds beside the rig's own messages.
 #[derive(Clone, Debug, Default)]
@@ -40,7 +32,8 @@ pub struct Notes {
     pub failures: Vec<String>,
 }
 
-type Action = Box<dyn Fn(&mut Bench<'_>) -> Result<()>>;
+/// What is done to a live rig; it may note what it finds.
+type Action = Box<dyn Fn(&mut Run, &mut Notes) -> Result<()>>;
 
 /// What the odometry does while the fault lasts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -56,8 +49,8 @@ pub enum Flow {
 /// One row: a fault and what must hold.
 pub struct Row {
     pub fault: &'static str,
-    begin: Action,
-    end: Action,
+    pub(crate) begin: Action,
+    pub(crate) end: Action,
     pub flow: Flow,
     /// Node whose diagnostics must report the fault at WARN or above, and words of which one must
     /// occur in the line: they name the fault itself, so that no other fault is accepted in its
@@ -72,14 +65,6 @@ pub struct Row {
 }
 
 impl Row {
-    pub fn start(&self, bench: &mut Bench<'_>) -> Result<()> {
-        (self.begin)(bench)
-    }
-
-    pub fn stop(&self, bench: &mut Bench<'_>) -> Result<()> {
-        (self.end)(bench)
-    }
-
     /// May it come again and again in a long run?
     pub fn soaks(&self) -> bool {
         !self.fault.starts_with("disk full") && self.clock_ahead == 0.0
@@ -101,10 +86,18 @@ impl Row {
         let epoch = run.begin();
         run.play_until(WINDOW[0], |_, _| {})?;
         let mut notes = Notes::default();
-        (self.begin)(&mut Bench { run: &mut run, epoch, scenario, notes: &mut notes })?;
-        wait(&mut run, WINDOW[1], self.kills.is_some())?;
-        (self.end)(&mut Bench { run: &mut run, epoch, scenario, notes: &mut notes })?;
-        wait(&mut run, LENGTH - 0.2, self.kills.is_some())?;
+        (self.begin)(&mut run, &mut notes)?;
+        // A node that ends is an error unless the fault kills it.
+        let wait = |run: &mut Run, until: f64| match self.kills {
+            None => run.play_until(until, |_, _| {}),
+            Some(_) => {
+                run.wait_until(until);
+                Ok(())
+            }
+        };
+        wait(&mut run, WINDOW[1])?;
+        (self.end)(&mut run, &mut notes)?;
+        wait(&mut run, LENGTH - 0.2)?;
         let logs = folder.to_owned();
         let ended = run.finish()?;
         if let Some(bag) = bag {
@@ -115,29 +108,19 @@ impl Row {
     }
 }
 
-/// Waits for a time of the scenario; a node that ended meanwhile is an error unless the fault kills
-/// it.
-fn wait(run: &mut Run, until: f64, may_end: bool) -> Result<()> {
-    if !may_end {
-        return run.play_until(until, |_, _| {});
-    }
-    while run.hardware.seconds() < until {
-        std::thread::sleep(std::time::Duration::from_millis(20));
-    }
-    Ok(())
-}
-
 /// The results as a Markdown table: fault, odometry, diagnostics, time until the pose was back.
-pub fn markdown(outcomes: &[(&'static str, Outcome)]) -> String {
+pub fn markdown(outcomes: &[(&'static str, Result<Outcome, String>)]) -> String {
     let mut text = String::from(
         "| fault | odometry meanwhile | largest error meanwhile | diagnostics | back after | \
          verdict |\n| --- | --- | --- | --- | --- | --- |\n",
     );
-    for (fault, o) in outcomes {
-        let verdict = match &o.verdict {
-            Verdict::Holds => "holds".to_owned(),
-            Verdict::Fails(reasons) => format!("**fails**: {}", reasons.join("; ")),
-            Verdict::Skipped(reason) => format!("**skipped**: {reason}"),
+    for (fault, outcome) in outcomes {
+        let o = match outcome {
+            Ok(outcome) => outcome,
+            Err(reason) => {
+                let _ = writeln!(text, "| {fault} | – | – | – | – | **skipped**: {reason} |");
+                continue;
+            }
         };
         let back = o.back_after.map_or("not".to_owned(), |s| format!("{s:.2} s"));
         let error = if o.rate > 0.0 {
@@ -148,10 +131,11 @@ pub fn markdown(outcomes: &[(&'static str, Outcome)]) -> String {
         let _ = writeln!(
             text,
             "| {fault} | {:.0} % of the samples, longest gap {:.0} ms | {error} | {} | {back} | \
-             {verdict} |",
+             {} |",
             o.rate * 100.0,
             o.longest_gap * 1e3,
             o.report.as_deref().unwrap_or("–"),
+            verdict(&o.failures),
         );
     }
     text

@@ -2,22 +2,13 @@
 
 use super::{Flow, LENGTH, Notes, Row, WINDOW};
 use crate::{
-    accuracy::Track,
+    accuracy::{Track, distance},
     live::{Ended, Received, Scenario},
 };
 use nalgebra::Isometry3;
 use rig_model::{Stamp, topics};
 use std::path::Path;
 use volant_msgs::{diagnostic_msgs::msg::DiagnosticStatus, msg::MarkerObservation};
-
-/// Whether a row holds.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Verdict {
-    Holds,
-    Fails(Vec<String>),
-    /// It could not be tried, and why.
-    Skipped(String),
-}
 
 #[derive(Clone, Debug)]
 pub struct Outcome {
@@ -33,30 +24,16 @@ pub struct Outcome {
     pub report: Option<String>,
     /// From the fault's end until the pose was back to stay, s.
     pub back_after: Option<f64>,
-    pub verdict: Verdict,
-}
-
-impl Outcome {
-    pub fn skipped(reason: String) -> Self {
-        Self {
-            rate: f64::NAN,
-            longest_gap: f64::NAN,
-            worst_position: f64::NAN,
-            worst_rotation: f64::NAN,
-            report: None,
-            back_after: None,
-            verdict: Verdict::Skipped(reason),
-        }
-    }
+    /// What does not hold.
+    pub failures: Vec<String>,
 }
 
 /// Back is who is nearer than this, mm and degrees.
 const NEAR: [f64; 2] = [10.0, 1.0];
-/// Largest share of the odometry whose NEES may exceed the 0.9999 quantile of χ² with 3 degrees of
-/// freedom.
-pub(crate) const GATE: [f64; 2] = [NEES_LIMIT, NEES_SHARE];
+/// The 0.9999 quantile of χ² with 3 degrees of freedom.
 const NEES_LIMIT: f64 = 21.1;
-const NEES_SHARE: f64 = 0.02;
+/// Largest share of the odometry whose NEES may exceed it.
+pub(crate) const NEES_SHARE: f64 = 0.02;
 
 pub fn judge(
     row: &Row,
@@ -105,8 +82,7 @@ pub fn judge(
     failures.extend(not_a_number(received));
     failures.extend(contradicted(received, at(0.5), at(LENGTH - 0.4), truth));
     failures.extend(ends(ended, folder));
-    let verdict = if failures.is_empty() { Verdict::Holds } else { Verdict::Fails(failures) };
-    Outcome { rate, longest_gap, worst_position, worst_rotation, report, back_after, verdict }
+    Outcome { rate, longest_gap, worst_position, worst_rotation, report, back_after, failures }
 }
 
 /// Share of the 100 Hz that came, and the longest gap.
@@ -122,11 +98,6 @@ pub(crate) fn flow(track: &Track, from: Stamp, to: Stamp) -> (f64, f64) {
     (stamps.len() as f64 / (100.0 * to.seconds_since(from)), gap)
 }
 
-fn errors(pose: &Isometry3<f64>, truth: &Isometry3<f64>) -> [f64; 2] {
-    let position = (pose.translation.vector - truth.translation.vector).norm() * 1e3;
-    [position, pose.rotation.angle_to(&truth.rotation).to_degrees()]
-}
-
 pub(crate) fn worst(
     track: &Track,
     from: Stamp,
@@ -134,7 +105,7 @@ pub(crate) fn worst(
     truth: impl Fn(Stamp) -> Isometry3<f64>,
 ) -> (f64, f64) {
     track.iter().filter(|(s, _)| *s >= from && *s <= to).fold((0.0, 0.0), |(p, r), (s, pose)| {
-        let [position, rotation] = errors(pose, &truth(*s));
+        let [position, rotation] = distance(pose, &truth(*s));
         (f64::max(p, position), f64::max(r, rotation))
     })
 }
@@ -149,7 +120,7 @@ pub(crate) fn back(
     let mut since: Option<Stamp> = None;
     let mut last: Option<Stamp> = None;
     for (s, pose) in track.iter().filter(|(s, _)| *s >= from && *s <= to) {
-        let [position, rotation] = errors(pose, &truth(*s));
+        let [position, rotation] = distance(pose, &truth(*s));
         let near = position <= NEAR[0] && rotation <= NEAR[1];
         let gap = last.is_some_and(|l| s.seconds_since(l) > 0.06);
         since = match (near, gap, since) {
@@ -220,6 +191,11 @@ pub(crate) fn not_a_number(received: &Received) -> Option<String> {
     (!bad.is_empty()).then(|| format!("a non-finite number on {}", bad.join(", ")))
 }
 
+/// Those whose NEES of position or rotation exceeds its limit.
+pub(crate) fn beyond(nees: &[(Stamp, [f64; 2])]) -> Vec<&(Stamp, [f64; 2])> {
+    nees.iter().filter(|(_, n)| n[0] > NEES_LIMIT || n[1] > NEES_LIMIT).collect()
+}
+
 /// A covariance that the truth contradicts.
 pub(crate) fn contradicted(
     received: &Received,
@@ -228,8 +204,7 @@ pub(crate) fn contradicted(
     truth: impl Fn(Stamp) -> Isometry3<f64> + Copy,
 ) -> Option<String> {
     let nees = received.nees(from, to, truth);
-    let beyond: Vec<_> =
-        nees.iter().filter(|(_, n)| n[0] > NEES_LIMIT || n[1] > NEES_LIMIT).collect();
+    let beyond = beyond(&nees);
     let share = beyond.len() as f64 / nees.len().max(1) as f64;
     let [(first, _), .., (last, _)] = beyond[..] else { return None };
     (share > NEES_SHARE).then(|| {

@@ -1,10 +1,7 @@
 //! A disk that fills up during a recording: `volant record` writes to a file system of 2 MiB.
 
-use super::{
-    Action, Bench, Row,
-    table::{action, row},
-};
-use crate::live::processes::executables;
+use super::{Action, Notes, Row, table::row};
+use crate::live::{Run, processes::executables};
 use anyhow::{Result, anyhow};
 use bag::{BagError, BagReader};
 use std::{
@@ -54,31 +51,29 @@ impl Drop for Disk {
 }
 
 pub(super) fn disk_full() -> Row {
-    let recorder = Rc::new(RefCell::new(None));
-    let begin: Action = {
-        let recorder = Rc::clone(&recorder);
-        action(move |b| {
-            *recorder.borrow_mut() = Some(start(b)?);
-            Ok(())
-        })
-    };
-    let end = action(move |b| {
-        if let Some(recorder) = recorder.borrow_mut().take() {
-            finish(recorder, b);
+    let started = Rc::new(RefCell::new(None));
+    let running = Rc::clone(&started);
+    let begin: Action = Box::new(move |run, _| {
+        *started.borrow_mut() = Some(start(run)?);
+        Ok(())
+    });
+    let end: Action = Box::new(move |_, notes| {
+        if let Some(recorder) = running.borrow_mut().take() {
+            finish(recorder, notes);
         }
         Ok(())
     });
     row("disk full while `volant record` writes", None, begin, end, 0.2)
 }
 
-fn start(b: &mut Bench<'_>) -> Result<Recorder> {
-    let folder = b.run.folder.join("full");
+fn start(run: &Run) -> Result<Recorder> {
+    let folder = run.folder.join("full");
     let disk = Disk::mount(&folder)?;
     let path = executables().join("volant");
     let child = Command::new(&path)
         .args(["record", "--all", "--out"])
         .arg(folder.join("run.mcap"))
-        .env("ROS_DOMAIN_ID", b.run.domain().to_string())
+        .env("ROS_DOMAIN_ID", run.domain().to_string())
         .stdin(Stdio::null())
         .stdout(Stdio::null())
         .stderr(Stdio::piped())
@@ -89,21 +84,16 @@ fn start(b: &mut Bench<'_>) -> Result<Recorder> {
 
 /// Asserts that it ended by itself with status 1 and one line that names the file, and that its bag
 /// is readable.
-fn finish(mut recorder: Recorder, b: &mut Bench<'_>) {
-    for _ in 0..100 {
-        if matches!(recorder.child.try_wait(), Ok(Some(_))) {
-            break;
-        }
+fn finish(mut recorder: Recorder, notes: &mut Notes) {
+    let ended = (0..100).find_map(|_| {
         std::thread::sleep(Duration::from_millis(10));
-    }
-    let status = match recorder.child.try_wait() {
-        Ok(Some(status)) => status,
-        _ => {
-            let _ = recorder.child.kill();
-            let _ = recorder.child.wait();
-            b.notes.failures.push("the recorder went on though the disk was full".to_owned());
-            return;
-        }
+        recorder.child.try_wait().ok().flatten()
+    });
+    let Some(status) = ended else {
+        let _ = recorder.child.kill();
+        let _ = recorder.child.wait();
+        notes.failures.push("the recorder went on though the disk was full".to_owned());
+        return;
     };
     let mut words = String::new();
     if let Some(mut stderr) = recorder.child.stderr.take() {
@@ -111,18 +101,18 @@ fn finish(mut recorder: Recorder, b: &mut Bench<'_>) {
     }
     let last = words.lines().last().unwrap_or_default().to_owned();
     if status.code() != Some(1) || !last.contains("run.mcap") {
-        b.notes.failures.push(format!("the recorder ended with {status} and wrote `{last}`"));
+        notes.failures.push(format!("the recorder ended with {status} and wrote `{last}`"));
     }
-    b.notes.report = Some(last.replace(&format!("{}/", recorder.disk.0.display()), ""));
+    notes.report = Some(last.replace(&format!("{}/", recorder.disk.0.display()), ""));
     let bag = recorder.disk.0.join("run.mcap");
     match readable(&bag) {
         Ok(count) if count < 100 => {
-            b.notes
+            notes
                 .failures
                 .push(format!("only {count} messages of the full disk's bag can be read"));
         }
         Ok(_) => {}
-        Err(error) => b.notes.failures.push(format!("the full disk's bag is unreadable: {error}")),
+        Err(error) => notes.failures.push(format!("the full disk's bag is unreadable: {error}")),
     }
 }
 

@@ -2,11 +2,11 @@
 //! message.
 
 use super::{
-    Action, Bench, Flow, Row,
+    Action, Flow, Row,
     injectors::{images, images_as, joints, joints_as, shift, uniform_images},
     recording,
 };
-use crate::live::{FaultInjector, Node, processes::Signal};
+use crate::live::{FaultInjector, Node, Run, processes::Signal};
 use anyhow::{Context, Result};
 use imu_driver::simulated_imu::SimulatedImu;
 use rig_model::Stamp;
@@ -16,14 +16,10 @@ type Words = &'static [&'static str];
 /// Node that reports the fault, and the words: see [`Row::diagnostics`].
 type Report = Option<(&'static str, Words)>;
 
-pub(super) fn action(f: impl Fn(&mut Bench<'_>) -> Result<()> + 'static) -> Action {
-    Box::new(f)
-}
-
 /// An action that cannot fail.
-fn simply(f: impl Fn(&mut Bench<'_>) + 'static) -> Action {
-    action(move |b| {
-        f(b);
+fn simply(f: impl Fn(&mut Run) + 'static) -> Action {
+    Box::new(move |run, _| {
+        f(run);
         Ok(())
     })
 }
@@ -50,31 +46,31 @@ fn sensor(
     diagnostics: Report,
     make: impl Fn() -> FaultInjector + 'static,
 ) -> Row {
-    let begin = simply(move |b| b.run.hardware.inject(Some(make())));
-    row(fault, diagnostics, begin, simply(|b| b.run.hardware.inject(None)), 1.0)
+    let begin = simply(move |run| run.hardware.inject(Some(make())));
+    row(fault, diagnostics, begin, simply(|run| run.hardware.inject(None)), 1.0)
 }
 
 /// A row in which the IMU is treated with `begin`, and with `end` when the window ends.
 fn unit(
     fault: &'static str,
     report: Words,
-    begin: impl Fn(&mut Bench<'_>) + 'static,
-    end: impl Fn(&mut Bench<'_>) + 'static,
+    begin: impl Fn(&mut Run) + 'static,
+    end: impl Fn(&mut Run) + 'static,
 ) -> Row {
     let row = row(fault, Some(("imu_driver", report)), simply(begin), simply(end), 2.0);
     Row { flow: Flow::Stops, ..row }
 }
 
 /// Something that is done to the simulated IMU.
-fn with_imu(f: fn(&mut SimulatedImu, Stamp)) -> impl Fn(&mut Bench<'_>) {
-    move |b| {
-        let _ = b.run.hardware.imu().with(f);
+fn with_imu(f: fn(&mut SimulatedImu, Stamp)) -> impl Fn(&mut Run) {
+    move |run| {
+        let _ = run.hardware.imu().with(f);
     }
 }
 
 /// An action on the named node.
 fn on(name: &'static str, f: fn(&mut Node) -> Result<()>) -> Action {
-    action(move |b| f(b.run.nodes.get(name).with_context(|| format!("no node {name}"))?))
+    Box::new(move |run, _| f(run.nodes.get(name).with_context(|| format!("no node {name}"))?))
 }
 
 /// The named node is killed as by `kill -9`, and started again when the window ends.
@@ -94,9 +90,10 @@ fn stalled(fault: &'static str, name: &'static str, flow: Flow, diagnostics: Rep
 
 /// The clock of the nodes' computer is set ahead, and set right when the window ends.
 fn clock_set(fault: &'static str, ahead: f64) -> Row {
-    let (begin, end) = (action(move |b| b.run.set_clock(ahead)), action(|b| b.run.set_clock(0.0)));
+    let set = |ahead: f64| -> Action { Box::new(move |run, _| run.set_clock(ahead)) };
     // One of the two steps leads back.
-    let row = row(fault, Some(("pose_fusion", &["clock was set back"])), begin, end, 1.5);
+    let report: Report = Some(("pose_fusion", &["clock was set back"]));
+    let row = row(fault, report, set(ahead), set(0.0), 1.5);
     Row { flow: Flow::Gaps, clock_ahead: ahead, ..row }
 }
 
@@ -175,12 +172,12 @@ pub fn table() -> Vec<Row> {
             ..unit(
                 "serial garbage: 400 bytes, ten times",
                 &["belonged to no message"],
-                |b| {
+                |run| {
                     for i in 0..10_u8 {
                         let garbage: Vec<u8> =
                             (0..400_u32).map(|k| (k as u8).wrapping_mul(37) ^ i | 0xC0).collect();
                         let _ =
-                            b.run.hardware.imu().with(move |unit, now| unit.inject(&garbage, now));
+                            run.hardware.imu().with(move |unit, now| unit.inject(&garbage, now));
                         std::thread::sleep(ms(100));
                     }
                 },
@@ -196,8 +193,8 @@ pub fn table() -> Vec<Row> {
         unit(
             "serial adapter unplugged",
             &["the serial port"],
-            |b| b.run.hardware.imu().unplug(),
-            |b| b.run.hardware.imu().replug(),
+            |run| run.hardware.imu().unplug(),
+            |run| run.hardware.imu().replug(),
         ),
         // A power cycle takes a fraction of the window: the IMU is back before the window ends.
         Row {

@@ -18,8 +18,8 @@ use std::{fmt::Display, process::Command};
 
 /// Two computers with a link between them. All of it is gone when this drops.
 pub struct Hosts {
+    made: Made,
     pub link: Link,
-    pub namespaces: Namespaces,
 }
 
 impl Hosts {
@@ -27,25 +27,29 @@ impl Hosts {
     pub fn new(seed: u64) -> Result<Self> {
         remove_left_over();
         let id = std::process::id();
-        let namespaces =
-            Namespaces { climber: format!("volant-c-{id}"), platform: format!("volant-p-{id}") };
-        let made = Made(&namespaces);
+        let made = Made(Namespaces {
+            climber: format!("volant-c-{id}"),
+            platform: format!("volant-p-{id}"),
+        });
+        let places = [&made.0.climber, &made.0.platform];
         let names = [format!("vc{id}"), format!("vp{id}")];
-        for name in [&namespaces.climber, &namespaces.platform] {
+        for name in places {
             ip(&["netns", "add", name])?;
         }
         let link = Link::new([&names[0], &names[1]], seed)
             .map_err(|e| not_permitted("a tap device", e))?;
-        for (i, place) in [&namespaces.climber, &namespaces.platform].into_iter().enumerate() {
-            let end = names[i].as_str();
+        for (i, (place, end)) in places.into_iter().zip(&names).enumerate() {
             ip(&["link", "set", end, "netns", place])?;
             ip(&["-n", place, "address", "add", &format!("10.77.0.{}/24", i + 1), "dev", end])?;
             ip(&["-n", place, "link", "set", "lo", "up"])?;
             ip(&["-n", place, "link", "set", end, "up"])?;
             ip(&["-n", place, "route", "add", "224.0.0.0/4", "dev", end])?;
         }
-        std::mem::forget(made);
-        Ok(Self { link, namespaces })
+        Ok(Self { made, link })
+    }
+
+    pub fn namespaces(&self) -> &Namespaces {
+        &self.made.0
     }
 }
 
@@ -55,27 +59,21 @@ fn remove_left_over() {
     for name in
         folder.filter_map(Result::ok).filter_map(|entry| entry.file_name().into_string().ok())
     {
-        let id = ["c", "p"].iter().find_map(|kind| name.strip_prefix(&format!("volant-{kind}-")));
+        let id = ["volant-c-", "volant-p-"].iter().find_map(|kind| name.strip_prefix(kind));
         if id.is_some_and(|id| !std::path::Path::new("/proc").join(id).exists()) {
             let _ = ip(&["netns", "delete", &name]);
         }
     }
 }
 
-/// Removes what was created when the rest fails.
-struct Made<'a>(&'a Namespaces);
+/// The namespaces, removed when this drops.
+struct Made(Namespaces);
 
-impl Drop for Made<'_> {
+impl Drop for Made {
     fn drop(&mut self) {
         for name in [&self.0.climber, &self.0.platform] {
             let _ = ip(&["netns", "delete", name]);
         }
-    }
-}
-
-impl Drop for Hosts {
-    fn drop(&mut self) {
-        drop(Made(&self.namespaces));
     }
 }
 

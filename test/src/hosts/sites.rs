@@ -2,16 +2,14 @@
 //! configurations, and an impaired link between the sites.
 
 use super::{Hosts, Impairment};
-use crate::live::quantile;
-use anyhow::{Context, Result, ensure};
+use crate::live::{Node, processes::executables, quantile};
+use anyhow::{Result, ensure};
 use bag::recording::map_messages;
-use rustix::process::{Pid, Signal, WaitOptions, kill_process, waitpid};
 use std::{
-    collections::BTreeSet,
     fmt::Write as _,
-    path::{Path, PathBuf},
-    process::{Child, Command, Stdio},
-    sync::{Mutex, MutexGuard, PoisonError, atomic::Ordering::Relaxed},
+    path::Path,
+    process::Command,
+    sync::atomic::Ordering::Relaxed,
     time::{Duration, SystemTime, UNIX_EPOCH},
 };
 use volant_msgs::nav_msgs::msg::Odometry;
@@ -29,9 +27,9 @@ const RATE: f64 = 10.0;
 const SPARE: f64 = 25.0;
 /// Longest time for the rigs' images to be drawn.
 const DRAWING: Duration = Duration::from_secs(600);
-/// How often something is looked for, and how many times a process is waited for at its end.
-const STEP: Duration = Duration::from_millis(100);
-const GRACE_STEPS: u32 = 100;
+/// Time for a process to end: a rig that is killed would leave its nodes, a recorder an incomplete
+/// bag.
+const GRACE: Duration = Duration::from_secs(10);
 
 pub struct Trial<'a> {
     pub hosts: &'a Hosts,
@@ -89,76 +87,10 @@ pub struct Row {
     pub longest_gap: f64,
 }
 
-/// A process that ends with this, with those that it has started itself.
-struct Process {
-    child: Child,
-    log: PathBuf,
-}
-
-/// Processes that run, for [`interrupt_all`].
-static RUNNING: Mutex<BTreeSet<u32>> = Mutex::new(BTreeSet::new());
-
-fn running() -> MutexGuard<'static, BTreeSet<u32>> {
-    RUNNING.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-fn interrupt(id: u32) {
-    if let Some(pid) = Pid::from_raw(id.cast_signed()) {
-        // One that has ended is a zombie until it is waited for: its id belongs to no other.
-        let _ = kill_process(pid, Signal::INT);
-    }
-}
-
-/// Interrupts all processes and waits for their files, before this one ends without their [`Drop`].
-pub fn interrupt_all() {
-    let all = running().clone();
-    all.iter().copied().for_each(interrupt);
-    for pid in all.iter().filter_map(|id| Pid::from_raw(id.cast_signed())) {
-        for _ in 0..GRACE_STEPS {
-            if !matches!(waitpid(Some(pid), WaitOptions::NOHANG), Ok(None)) {
-                break;
-            }
-            std::thread::sleep(STEP);
-        }
-    }
-}
-
-impl Process {
-    /// Starts a process whose outputs go to `log`.
-    fn start(command: &mut Command, log: &Path) -> Result<Self> {
-        let file = std::fs::File::create(log).with_context(|| log.display().to_string())?;
-        let child = command
-            .stdin(Stdio::null())
-            .stdout(file.try_clone()?)
-            .stderr(file)
-            .spawn()
-            .with_context(|| format!("{command:?} does not start"))?;
-        running().insert(child.id());
-        Ok(Self { child, log: log.to_owned() })
-    }
-
-    /// Fails if it has ended.
-    fn check(&mut self) -> Result<()> {
-        let ended = self.child.try_wait()?;
-        ensure!(ended.is_none(), "a process ended too early, see {}", self.log.display());
-        Ok(())
-    }
-}
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        // A rig that is killed would leave its nodes, a recorder an incomplete bag.
-        interrupt(self.child.id());
-        for _ in 0..GRACE_STEPS {
-            if !matches!(self.child.try_wait(), Ok(None)) {
-                break;
-            }
-            std::thread::sleep(STEP);
-        }
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-        running().remove(&self.child.id());
-    }
+/// Fails if a process has ended.
+fn check(process: &mut Node) -> Result<()> {
+    ensure!(process.ended().is_none(), "a process ended too early, see {}", process.log.display());
+    Ok(())
 }
 
 impl Trial<'_> {
@@ -174,63 +106,66 @@ impl Trial<'_> {
         command
     }
 
-    fn record(&self, site: &str, domain: u16, bag: &Path, topics: &[String]) -> Result<Process> {
-        let mut command = self.command(site, domain, &sibling("volant"));
-        command.arg("record").arg("-o").arg(bag).args(topics);
-        Process::start(&mut command, &bag.with_extension("log"))
+    fn start(&self, name: &str, command: Command) -> Result<Node> {
+        Node::spawn(name, command, self.folder, GRACE)
+    }
+
+    /// Records topics in the bag of a name.
+    fn record(&self, site: &str, domain: u16, name: &str, topics: &[String]) -> Result<Node> {
+        let mut command = self.command(site, domain, &executables().join("volant"));
+        command.arg("record").arg("-o").arg(self.folder.join(name)).args(topics);
+        self.start(name, command)
     }
 
     /// Runs all rows one after the other.
     pub fn run(&self) -> Result<Vec<Row>> {
         let [rig_site, operator_site] =
-            [&self.hosts.namespaces.climber, &self.hosts.namespaces.platform];
+            [&self.hosts.namespaces().climber, &self.hosts.namespaces().platform];
         let mut running = vec![];
         let mut command = self.command(operator_site, DOMAINS[0], self.bridge);
         command.arg("-c").arg(self.config.join("bridge_operator.json5"));
         command.args(["-d", &DOMAINS[0].to_string(), "-l", OPERATOR]);
-        running.push(Process::start(&mut command, &self.folder.join("bridge_operator.log"))?);
+        running.push(self.start("bridge_operator", command)?);
         let mut recorders = vec![];
         let odometry = |name: &str| format!("{name}/volant/odometry");
         let names: Vec<String> = (1..=self.rigs).map(|i| format!("/rig{i}")).collect();
-        let at_operator = self.folder.join("operator");
         let topics: Vec<String> = names.iter().map(|n| odometry(n)).collect();
-        recorders.push(self.record(operator_site, DOMAINS[0], &at_operator, &topics)?);
+        recorders.push(self.record(operator_site, DOMAINS[0], "operator", &topics)?);
         let mut demos = vec![];
         for (i, name) in (0u16..).zip(&names) {
             let domain = DOMAINS[1] + i;
             let mut command = self.command(rig_site, domain, self.bridge);
             command.arg("-c").arg(self.config.join("bridge_rig.json5")).args(["-n", name]);
             command.args(["-d", &domain.to_string(), "-e", OPERATOR]);
-            let log = self.folder.join(format!("bridge_rig{i}.log"));
-            running.push(Process::start(&mut command, &log)?);
-            let bag = self.folder.join(format!("rig{i}"));
-            recorders.push(self.record(rig_site, domain, &bag, &[odometry("")])?);
+            running.push(self.start(&format!("bridge_rig{i}"), command)?);
+            recorders.push(self.record(rig_site, domain, &format!("rig{i}"), &[odometry("")])?);
             demos.push(self.start_rig(rig_site, domain, i)?);
         }
         demos.iter_mut().try_for_each(wait_for_rig)?;
         let spans = self.go_through_rows();
         let all = recorders.iter_mut().chain(&mut demos).chain(&mut running);
-        all.into_iter().try_for_each(Process::check)?;
+        all.into_iter().try_for_each(check)?;
         // The recorders first, so that they see no end of the rigs.
         drop((recorders, demos, running));
         let mut received = vec![];
         for (i, topic) in topics.iter().enumerate() {
             let rig = read(&self.folder.join(format!("rig{i}")), &odometry(""))?;
-            received.push([read(&at_operator, topic)?, rig]);
+            received.push([read(&self.folder.join("operator"), topic)?, rig]);
         }
         Ok(spans.iter().map(|span| row(span, &received)).collect())
     }
 
     /// Starts a rig that swings for as long as all rows take.
-    fn start_rig(&self, site: &str, domain: u16, number: u16) -> Result<Process> {
-        let mut command = self.command(site, domain, &sibling("volant-rig"));
+    fn start_rig(&self, site: &str, domain: u16, number: u16) -> Result<Node> {
+        let name = format!("demo{number}");
+        let mut command = self.command(site, domain, &executables().join("volant-rig"));
         command
             .arg("demo")
             .args(["--seconds", &(ROW * rows().len() as f64 + SPARE).to_string()])
             .args(["--seed", &(self.seed + u64::from(number)).to_string()])
             .arg("--out")
-            .arg(self.folder.join(format!("demo{number}")));
-        Process::start(&mut command, &self.folder.join(format!("demo{number}.log")))
+            .arg(self.folder.join(&name));
+        self.start(&name, command)
     }
 
     fn go_through_rows(&self) -> Vec<Span> {
@@ -249,19 +184,14 @@ impl Trial<'_> {
 
 /// Waits until the nodes of a rig run: its images are drawn before.
 #[allow(clippy::disallowed_methods, reason = "it waits for another process")]
-fn wait_for_rig(rig: &mut Process) -> Result<()> {
+fn wait_for_rig(rig: &mut Node) -> Result<()> {
     let deadline = std::time::Instant::now() + DRAWING;
     while !std::fs::read_to_string(&rig.log)?.contains("four nodes") {
-        rig.check()?;
+        check(rig)?;
         ensure!(std::time::Instant::now() < deadline, "{}: no rig", rig.log.display());
-        std::thread::sleep(STEP);
+        std::thread::sleep(Duration::from_millis(100));
     }
     Ok(())
-}
-
-/// An executable beside this one.
-fn sibling(name: &str) -> PathBuf {
-    std::env::current_exe().unwrap_or_default().with_file_name(name)
 }
 
 #[allow(clippy::disallowed_methods, reason = "it is compared with stamps of other processes")]

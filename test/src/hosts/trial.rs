@@ -6,6 +6,7 @@ use crate::{
     accuracy::Errors,
     faults::outcome,
     live::{ClockError, Host, ImageSequence, NODES, Run, Scenario, Site},
+    report::verdict,
 };
 use anyhow::Result;
 use node_kit::environment::Network;
@@ -14,7 +15,6 @@ use std::{
     fmt::Write,
     path::{Path, PathBuf},
     sync::Arc,
-    time::Duration,
 };
 
 /// Length of a run, s.
@@ -35,11 +35,11 @@ pub struct Swing {
 }
 
 impl Swing {
-    /// The rig of this seed, no marker covered; its images are drawn on `threads` threads.
-    pub fn new(seed: u64, threads: usize) -> Result<Self> {
+    /// The rig of this seed, no marker covered.
+    pub fn new(seed: u64) -> Result<Self> {
         let mut scenario = Scenario::swing(seed, LENGTH)?;
         scenario.covers.clear();
-        let images = Arc::new(ImageSequence::render(&scenario, threads, |_, _| {})?);
+        let images = Arc::new(ImageSequence::of(&scenario)?);
         Ok(Self { scenario, images })
     }
 }
@@ -177,7 +177,7 @@ impl Trial {
     fn once(&self, swing: &Swing, place: &Place<'_>, folder: &Path) -> Result<Seen> {
         let (Swing { scenario, images }, Place { hosts, network, .. }) = (swing, place);
         use std::sync::atomic::Ordering::Relaxed;
-        let mut site = Site { hosts: Some(hosts.namespaces.clone()), ..Site::here(network) };
+        let mut site = Site { hosts: Some(hosts.namespaces().clone()), ..Site::here(network) };
         hosts.link.set(Impairment::default());
         match self.trouble {
             Trouble::Link(impairment) => hosts.link.set(impairment),
@@ -245,11 +245,6 @@ impl Trial {
 
     /// Plays until `end`; when the trouble is over, s, where it has an end.
     fn play(&self, run: &mut Run, hosts: &Hosts, end: f64) -> Result<Option<f64>> {
-        let wait = |run: &Run, until: f64| {
-            while run.hardware.seconds() < until {
-                std::thread::sleep(Duration::from_millis(5));
-            }
-        };
         let over = match self.trouble {
             Trouble::Link(_) | Trouble::Clock(_) => None,
             Trouble::Cut => {
@@ -267,7 +262,7 @@ impl Trial {
                         node.kill()?;
                     }
                 }
-                wait(run, WINDOW[0] + GONE);
+                run.wait_until(WINDOW[0] + GONE);
                 for name in names {
                     if let Some(node) = run.nodes.get(name) {
                         node.restart()?;
@@ -291,11 +286,6 @@ pub fn markdown(rows: &[(&'static str, Result<Seen, String>)]) -> String {
         let _ = match seen {
             Err(reason) => writeln!(text, "| {name} | – | – | – | – | – | **skipped**: {reason} |"),
             Ok(s) => {
-                let verdict = if s.failures.is_empty() {
-                    "holds".to_owned()
-                } else {
-                    format!("**fails**: {}", s.failures.join("; "))
-                };
                 let back = match s.back_after {
                     None => "–".to_owned(),
                     Some(t) if t.is_finite() => format!("{t:.2} s"),
@@ -304,7 +294,7 @@ pub fn markdown(rows: &[(&'static str, Result<Seen, String>)]) -> String {
                 writeln!(
                     text,
                     "| {name} | {:.2} s | {:.2} mm, {:.3}° | {:.1} %, longest gap {:.0} ms | \
-                     {back} | {:.0}, {:.1} % | {verdict} |",
+                     {back} | {:.0}, {:.1} % | {} |",
                     s.first_pose,
                     s.position,
                     s.rotation,
@@ -312,6 +302,7 @@ pub fn markdown(rows: &[(&'static str, Result<Seen, String>)]) -> String {
                     s.longest_gap * 1e3,
                     s.frames[0],
                     s.frames[1] * 100.0,
+                    verdict(&s.failures),
                 )
             }
         };

@@ -10,7 +10,7 @@ use super::{
 use bag::{BagError, BagWriter, Compression, Qos, Topic, WriteOptions};
 use node_kit::convert;
 use rig_model::{ClimberSample, Stamp, topics::absolute as topics};
-use rig_simulator::inertial::{Message as Sensed, Sensors};
+use rig_simulator::inertial::Message as Sensed;
 use std::{path::Path, sync::Arc};
 use volant_msgs::{Message, cdr};
 
@@ -118,9 +118,7 @@ pub fn from_sensors<M: Message>(
     let options = WriteOptions { replace: true, ..WriteOptions::default() };
     let mut run = Run::create(path, options, Stamp::default())?;
     let (mut imu, mut markers, mut poses) = (vec![], vec![], vec![]);
-    let sensors =
-        Sensors::new(&scenario.motion, &scenario.rig, &scenario.camera, &scenario.sensors);
-    for (at, message) in sensors.record() {
+    for (at, message) in scenario.simulated_sensors().record() {
         match message {
             Sensed::Imu(s) => imu.push((at, convert::imu_message(&frames.imu, &s, None, None))),
             Sensed::Markers(o) => markers.push((at, convert::markers_message(&frames.camera, &o))),

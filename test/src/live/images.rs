@@ -21,6 +21,11 @@ pub struct ImageSequence {
 }
 
 impl ImageSequence {
+    /// Renders all images of the scenario on at most four threads.
+    pub fn of(scenario: &Scenario) -> Result<Self, jpeg_encoder::EncodingError> {
+        Self::render(scenario, parallel::processors().min(4), |_, _| {})
+    }
+
     /// Renders all images of the scenario on `threads` threads; calls `progress(done, of)` after
     /// each one.
     pub fn render(

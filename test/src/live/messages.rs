@@ -25,19 +25,10 @@ pub fn joint_state(
     seconds: f64,
     stamp: Stamp,
 ) -> JointState {
-    let c = &scenario.sensors;
-    let mut position = scenario.motion.climber(seconds).to_vec();
-    for (i, value) in position.iter_mut().enumerate() {
-        let kind = usize::from(i == 2);
-        *value += c.climber_noise[kind] * random.normal();
-        if c.climber_quantum[kind] > 0.0 {
-            *value = (*value / c.climber_quantum[kind]).round() * c.climber_quantum[kind];
-        }
-    }
     JointState {
         header: convert::header("", stamp),
         name: ["rail_x", "rail_y", "turn"].map(str::to_owned).to_vec(),
-        position,
+        position: scenario.simulated_sensors().encoders(seconds, random).to_vec(),
         ..JointState::default()
     }
 }

@@ -2,9 +2,9 @@
 
 use anyhow::{Result, anyhow, bail, ensure};
 pub use rustix::process::Signal;
-use rustix::process::{Pid, kill_process};
+use rustix::process::{Pid, WaitOptions, kill_process, waitpid};
 use std::{
-    collections::BTreeSet,
+    collections::BTreeMap,
     fs::File,
     io,
     path::{Path, PathBuf},
@@ -27,31 +27,48 @@ pub fn executables() -> PathBuf {
     folder
 }
 
-/// Process ids of all nodes that were started and not waited for.
-static RUNNING: Mutex<BTreeSet<u32>> = Mutex::new(BTreeSet::new());
+/// All processes that were started and not waited for, with their time to end by SIGINT.
+static RUNNING: Mutex<BTreeMap<u32, Duration>> = Mutex::new(BTreeMap::new());
+/// How often the end of a process is looked for.
+const STEP: Duration = Duration::from_millis(10);
 
-fn running() -> MutexGuard<'static, BTreeSet<u32>> {
+fn running() -> MutexGuard<'static, BTreeMap<u32, Duration>> {
     RUNNING.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Kills all nodes that run, before this process ends without their [`Drop`].
-pub fn kill_all() {
-    for id in running().iter().filter_map(|id| Pid::from_raw(i32::try_from(*id).ok()?)) {
-        // One that has ended is a zombie until it is waited for: its id belongs to no other.
-        let _ = kill_process(id, Signal::KILL);
+fn send(id: u32, signal: Signal) -> io::Result<()> {
+    // One that has ended is a zombie until it is waited for: its id belongs to no other.
+    let id = Pid::from_raw(id.cast_signed());
+    id.map_or(Ok(()), |id| kill_process(id, signal).map_err(io::Error::from))
+}
+
+/// Ends all processes that run, before this one ends without their [`Drop`].
+pub fn end_all() {
+    let all = running().clone();
+    for (id, grace) in &all {
+        let _ = send(*id, if grace.is_zero() { Signal::KILL } else { Signal::INT });
+    }
+    for (id, grace) in all {
+        let mut left = grace;
+        while !left.is_zero()
+            && matches!(waitpid(Pid::from_raw(id.cast_signed()), WaitOptions::NOHANG), Ok(None))
+        {
+            std::thread::sleep(STEP);
+            left = left.saturating_sub(STEP);
+        }
     }
 }
 
+/// A node, or another program, as a process. It ends when this drops.
 #[derive(Debug)]
 pub struct Node {
-    /// Its executable's name.
     pub name: String,
     /// Log file: standard output and standard error.
     pub log: PathBuf,
+    command: Command,
     child: Child,
-    arguments: Vec<String>,
-    environment: Vec<(String, String)>,
-    place: Option<String>,
+    /// Time to end by SIGINT when this drops; zero: it is killed at once.
+    grace: Duration,
     status: Option<ExitStatus>,
 }
 
@@ -72,9 +89,6 @@ impl Node {
              --bins`, or name its folder in VOLANT_BIN",
             path.display()
         );
-        let io = |error: io::Error| anyhow!("{name}: {error}");
-        let log = folder.join(format!("{name}.log"));
-        let out = File::options().create(true).append(true).open(&log).map_err(io)?;
         // `ip netns exec` becomes the node: the process id is the node's.
         let mut command = match place {
             None => Command::new(path),
@@ -84,24 +98,20 @@ impl Node {
                 command
             }
         };
-        let child = command
-            .args(arguments)
-            .envs(environment.iter().map(|(k, v)| (k, v)))
-            .stdin(Stdio::null())
-            .stdout(out.try_clone().map_err(io)?)
-            .stderr(out)
-            .spawn()
-            .map_err(io)?;
-        running().insert(child.id());
-        Ok(Self {
-            name: name.into(),
-            log,
-            child,
-            arguments: arguments.to_vec(),
-            environment: environment.to_vec(),
-            place: place.map(str::to_owned),
-            status: None,
-        })
+        command.args(arguments).envs(environment.iter().map(|(k, v)| (k, v)));
+        Self::spawn(name, command, folder, Duration::ZERO)
+    }
+
+    /// Starts a command; its output is appended to `folder`/`name`.log. When this drops, it is
+    /// interrupted and killed after `grace`.
+    pub fn spawn(name: &str, mut command: Command, folder: &Path, grace: Duration) -> Result<Self> {
+        let io = |error: io::Error| anyhow!("{name}: {error}");
+        let log = folder.join(format!("{name}.log"));
+        let out = File::options().create(true).append(true).open(&log).map_err(io)?;
+        command.stdin(Stdio::null()).stdout(out.try_clone().map_err(io)?).stderr(out);
+        let child = command.spawn().map_err(io)?;
+        running().insert(child.id(), grace);
+        Ok(Self { name: name.into(), log, command, child, grace, status: None })
     }
 
     pub fn id(&self) -> u32 {
@@ -112,9 +122,7 @@ impl Node {
     /// process is spawned (such as SIGCHLD) can interrupt RustDDS's threads in this process, which
     /// ends them.
     pub fn signal(&self, signal: Signal) -> Result<()> {
-        let id = i32::try_from(self.id()).ok().and_then(Pid::from_raw);
-        id.map_or(Ok(()), |id| kill_process(id, signal))
-            .map_err(|error| anyhow!("{}: {error}", self.name))
+        send(self.id(), signal).map_err(|error| anyhow!("{}: {error}", self.name))
     }
 
     /// How it ended, if it did.
@@ -141,17 +149,12 @@ impl Node {
         Ok(())
     }
 
-    /// Restarts it with the same arguments after it ended.
+    /// Restarts it with the same arguments; kills it before where it has not ended.
     pub fn restart(&mut self) -> Result<()> {
-        let folder = self.log.parent().unwrap_or(Path::new(".")).to_owned();
-        let next = Self::start(
-            self.place.as_deref(),
-            &self.name,
-            &self.arguments,
-            &self.environment,
-            &folder,
-        )?;
-        *self = next;
+        self.kill()?;
+        self.child = self.command.spawn().map_err(|error| anyhow!("{}: {error}", self.name))?;
+        running().insert(self.child.id(), self.grace);
+        self.status = None;
         Ok(())
     }
 
@@ -174,13 +177,18 @@ impl Node {
             if Instant::now() >= deadline {
                 return None;
             }
-            std::thread::sleep(Duration::from_millis(10));
+            std::thread::sleep(STEP);
         }
     }
 }
 
 impl Drop for Node {
+    #[allow(clippy::disallowed_methods)] // a shell: it waits for a process
     fn drop(&mut self) {
+        if !self.grace.is_zero() && self.ended().is_none() {
+            let _ = self.signal(Signal::INT);
+            self.wait_until(Instant::now() + self.grace);
+        }
         let _ = self.kill();
     }
 }

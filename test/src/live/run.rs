@@ -144,6 +144,13 @@ impl Run {
         }
     }
 
+    /// Waits until `seconds` of the scenario are over; nodes may end meanwhile.
+    pub fn wait_until(&self, seconds: f64) {
+        while self.hardware.seconds() < seconds {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
     /// Ends the nodes by SIGINT and returns all messages.
     pub fn finish(self) -> Result<Ended> {
         ensure!(

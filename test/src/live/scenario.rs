@@ -5,7 +5,7 @@ use nalgebra::{Isometry3, Vector2, Vector3};
 use rig_model::{CameraModel, Distortion, MarkerColor, Rig};
 use rig_simulator::{
     Covers, Instant, RIG_YAML, SceneConfig,
-    inertial::SensorConfig,
+    inertial::{SensorConfig, Sensors},
     motion::{Motion, MotionConfig},
 };
 use std::sync::Arc;
@@ -86,6 +86,10 @@ impl Scenario {
             "{}\n/**/climber_driver:\n  ros__parameters:\n    height: {height:?}\n",
             self.rig_yaml
         )
+    }
+
+    pub fn simulated_sensors(&self) -> Sensors<'_> {
+        Sensors::new(&self.motion, &self.rig, &self.camera, &self.sensors)
     }
 
     /// Seconds that the run takes.

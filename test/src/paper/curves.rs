@@ -2,7 +2,7 @@
 //! and the default one, all with the same gravity.
 
 use super::{
-    Made, Value,
+    Made, Value, axis,
     bars::{Bars, decades, draw_bars},
     offline::{Recording, filter, fuse, published_tracker, record, record_observed, track},
     write,
@@ -16,7 +16,7 @@ use nalgebra::Vector3;
 use pose_fusion::{FusionConfig, Model};
 use rig_model::Stamp;
 use std::{fmt::Write, path::Path};
-use volant::report::{Axis, Color, Curve, Run, Table, colors, six_curves};
+use volant::report::{Color, Curve, Run, Table, colors, six_curves};
 
 /// Threshold control as published, m/s.
 const THRESHOLD: f64 = 1e-5;
@@ -97,8 +97,11 @@ impl Curves {
     }
 
     /// Errors of each estimate after the first second.
-    pub fn errors(&self, scenario: &Scenario) -> Vec<(&Column, Errors)> {
-        self.columns.iter().map(|c| (c, errors_of(scenario, &c.track))).collect()
+    fn errors(&self, scenario: &Scenario) -> Vec<(&Column, Errors)> {
+        let (from, to) =
+            (self.epoch.plus_seconds(1.0), self.epoch.plus_seconds(scenario.duration()));
+        let truth = |at: Stamp| scenario.motion.world_from_volant(at.seconds_since(self.epoch));
+        self.columns.iter().map(|c| (c, Errors::of(&c.track, from, to, truth))).collect()
     }
 
     /// Writes `table-2.csv`.
@@ -284,25 +287,14 @@ fn draw_errors(errors: &[(&Column, Errors)]) -> String {
     let rows: Vec<(String, Color)> =
         errors.iter().map(|(column, _)| (column.name.to_owned(), column.color)).collect();
     let of = |axis: usize| errors.iter().map(move |(_, e)| e.rmse[axis]);
-    let panels = [3, 4, 5, 0, 1, 2].map(|axis| {
-        let half = axis / 3 * 3;
+    let panels = [3, 4, 5, 0, 1, 2].map(|i| {
+        let half = i / 3 * 3;
+        let range = decades((half..half + 3).flat_map(of));
         Bars {
-            axis: Axis {
-                name: format!("{} [{}]", AXES[axis], UNITS[axis]),
-                range: decades((half..half + 3).flat_map(of)),
-                log: true,
-            },
-            values: of(axis).collect(),
+            axis: axis(format!("{} [{}]", AXES[i], UNITS[i]), range, true),
+            values: of(i).collect(),
             spread: Vec::new(),
         }
     });
     draw_bars("Table II: RMSE of each axis", &rows, 3, &panels)
-}
-
-/// Errors of a track after the first second.
-fn errors_of(scenario: &Scenario, track: &Track) -> Errors {
-    let epoch = scenario.sensors.epoch;
-    let (from, to) = (epoch.plus_seconds(1.0), epoch.plus_seconds(scenario.duration()));
-    let truth = |at: Stamp| scenario.motion.world_from_volant(at.seconds_since(epoch));
-    Errors::of(track, from, to, truth)
 }

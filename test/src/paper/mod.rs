@@ -16,7 +16,7 @@ pub mod stationary;
 
 use anyhow::{Context, Result};
 use std::path::{Path, PathBuf};
-use volant::report::Table;
+use volant::report::{Axis, Color, Series, Shape, Table};
 
 /// What can be made, in the order of the paper.
 pub const NAMES: [&str; 11] = [
@@ -57,6 +57,27 @@ pub struct Made {
     pub shows: String,
     /// Where it differs from what was published, and why.
     pub published: String,
+}
+
+fn axis(name: impl Into<String>, range: [f64; 2], log: bool) -> Axis {
+    Axis { name: name.into(), range, log }
+}
+
+/// A series without whiskers.
+fn series(
+    name: impl Into<String>,
+    color: Color,
+    shape: Shape,
+    points: impl IntoIterator<Item = (f64, f64)>,
+) -> Series {
+    let points = points.into_iter().collect();
+    Series { name: name.into(), color, shape, points, spread: Vec::new() }
+}
+
+fn table<const N: usize>(head: [&str; N], rows: impl IntoIterator<Item = [String; N]>) -> Table {
+    let mut table = Table { head: head.map(str::to_owned).to_vec(), rows: Vec::new() };
+    rows.into_iter().for_each(|row| table.push(row.to_vec()));
+    table
 }
 
 /// Writes a file in a folder and returns its path; names it where that fails.

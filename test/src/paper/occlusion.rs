@@ -2,19 +2,23 @@
 //! with and without its predicted position (eq. 3).
 
 use super::{
-    Made, Value,
+    Made, Value, axis,
     offline::{filter, fuse, record_observed, track},
+    series,
     stages::{chart_color, rgb_of},
     write,
 };
-use crate::live::{ImageSequence, Scenario};
+use crate::{
+    accuracy::{Track, distance},
+    live::{ImageSequence, Scenario},
+};
 use anyhow::{Context, Result};
 use marker_tracker::TrackerConfig;
 use nalgebra::Vector2;
 use pose_fusion::Model;
 use rig_model::{MarkerColor, MarkerObservations, MarkerState};
 use std::{fmt::Write, path::Path};
-use volant::report::{Anchor, Axis, Drawing, Panel, Series, Shape, Sheet, colors, panels};
+use volant::report::{Anchor, Drawing, Panel, Shape, Sheet, colors, panels};
 
 /// Length of the run, s.
 const SECONDS: f64 = 8.0;
@@ -56,7 +60,7 @@ pub fn figure_6(
         "with_eq_3_mm,with_eq_3_deg,without_eq_3_mm,without_eq_3_deg,fused_mm,fused_deg\n"
     ));
     for (ours, mean) in places[0].iter().zip(&places[1]) {
-        let _ = write!(csv, "{:.4},{}", ours.0, state_name(ours.1));
+        let _ = write!(csv, "{:.4},{}", ours.0, format!("{:?}", ours.1).to_lowercase());
         let [with, without, fused] =
             [&poses.with, &poses.without, &poses.fused].map(|rows| at(rows, ours.0));
         for v in [ours.2, mean.2, with[0], with[1], without[0], without[1], fused[0], fused[1]] {
@@ -73,29 +77,20 @@ pub fn figure_6(
     let [from, to] = cover.seconds;
     let svg = write(folder, "fig-6.svg", &draw(&scenario, &images, &observed, &places, &poses)?)?;
     // Images whose hidden marker has a predicted position.
-    let predicted: Vec<&Place> =
-        places[1].iter().filter(|p| p.1 == MarkerState::Predicted && p.2.is_finite()).collect();
-    let times: Vec<f64> = predicted.iter().map(|p| p.0).collect();
-    let rms = |rows: &[[f64; 3]], column: usize| -> f64 {
-        let squares: Vec<f64> =
-            times.iter().map(|t| at(rows, *t)[column].powi(2)).filter(|v| v.is_finite()).collect();
-        (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+    let predicted = |places: &[Place]| -> Vec<Place> {
+        let it = |p: &&Place| p.1 == MarkerState::Predicted && p.2.is_finite();
+        places.iter().filter(it).copied().collect()
     };
-    let before = |rows: &[[f64; 3]], column: usize| -> f64 {
-        let squares: Vec<f64> = rows
-            .iter()
-            .filter(|r| r[0] > 1.0 && r[0] < from - 0.4)
-            .map(|r| r[column + 1].powi(2))
-            .collect();
-        (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+    let times: Vec<f64> = predicted(&places[1]).iter().map(|p| p.0).collect();
+    let rms = |rows: &[[f64; 3]], column: usize| {
+        let errors = times.iter().map(|t| at(rows, *t)[column]);
+        root_mean_square(errors.filter(|v| v.is_finite()))
     };
-    let worst = |places: &[Place]| {
-        places
-            .iter()
-            .filter(|p| p.1 == MarkerState::Predicted && p.2.is_finite())
-            .map(|p| p.2)
-            .fold(0.0, f64::max)
+    let before = |rows: &[[f64; 3]], column: usize| {
+        let rows = rows.iter().filter(|r| r[0] > 1.0 && r[0] < from - 0.4);
+        root_mean_square(rows.map(|r| r[column + 1]))
     };
+    let worst = |places: &[Place]| predicted(places).iter().map(|p| p.2).fold(0.0, f64::max);
     let back = places[0]
         .iter()
         .find(|p| p.0 > to && p.1 == MarkerState::Detected)
@@ -191,24 +186,20 @@ fn place_errors(
 }
 
 /// Seconds, mm and degrees.
-fn errors(scenario: &Scenario, track: &crate::accuracy::Track) -> Vec<[f64; 3]> {
+fn errors(scenario: &Scenario, track: &Track) -> Vec<[f64; 3]> {
     track
         .iter()
         .map(|(at, pose)| {
             let t = at.seconds_since(scenario.sensors.epoch);
-            let truth = scenario.motion.world_from_volant(t);
-            let mm = (pose.translation.vector - truth.translation.vector).norm() * 1e3;
-            [t, mm, pose.rotation.angle_to(&truth.rotation).to_degrees()]
+            let [mm, degrees] = distance(pose, &scenario.motion.world_from_volant(t));
+            [t, mm, degrees]
         })
         .collect()
 }
 
-fn state_name(state: MarkerState) -> &'static str {
-    match state {
-        MarkerState::Detected => "detected",
-        MarkerState::Predicted => "predicted",
-        MarkerState::Lost => "lost",
-    }
+fn root_mean_square(values: impl Iterator<Item = f64>) -> f64 {
+    let squares: Vec<f64> = values.map(|v| v * v).collect();
+    (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
 }
 
 fn draw(
@@ -239,14 +230,8 @@ fn draw(
         let x = 24.0 + (wide + 10.6) * k as f64;
         let high = wide * image.height as f64 / image.width as f64;
         bottom = top + high;
-        d.text(
-            x,
-            top - 12.0,
-            15.0,
-            colors::INK,
-            Anchor::Start,
-            &format!("{:.2} s: {name}", frame.seconds),
-        );
+        let name = format!("{:.2} s: {name}", frame.seconds);
+        d.text(x, top - 12.0, 15.0, colors::INK, Anchor::Start, &name);
         d.image(x, top, wide, high, image.width, &rgb_of(&image), false)?;
         let scale = wide / image.width as f64;
         for (color, m) in observed[index].markers.iter().filter(|(_, m)| m.centroid.x.is_finite()) {
@@ -261,24 +246,18 @@ fn draw(
             }
         }
     }
-    let axis = |name: &str, range, log| Axis { name: name.into(), range, log };
-    let line = |name: &str, color, shape, points: Vec<(f64, f64)>| Series {
-        name: name.into(),
-        color,
-        shape,
-        points,
-        spread: Vec::new(),
-    };
     let span = [from - 1.0, to + 0.7];
     let time = || axis("time [s]", span, false);
-    let of = |places: &[Place], state: MarkerState| -> Vec<(f64, f64)> {
-        places.iter().map(|p| (p.0, if p.1 == state { p.2 } else { f64::NAN })).collect()
+    let of = |name: &str, color, shape, places: &[Place], state: MarkerState| {
+        let error = |p: &Place| (p.0, if p.1 == state { p.2 } else { f64::NAN });
+        series(name, color, shape, places.iter().map(error))
     };
-    let column = |rows: &[[f64; 3]], c: usize, gap: f64| -> Vec<(f64, f64)> {
+    // Without a line across more than two images that have no pose.
+    let column = |rows: &[[f64; 3]], c: usize| -> Vec<(f64, f64)> {
         let mut points = Vec::with_capacity(rows.len());
         let mut last = f64::NEG_INFINITY;
         for r in rows.iter().filter(|r| r[0] >= span[0]) {
-            if r[0] - last > gap && last.is_finite() {
+            if r[0] - last > 0.08 && last.is_finite() {
                 points.push((r[0], f64::NAN));
             }
             last = r[0];
@@ -286,78 +265,43 @@ fn draw(
         }
         points
     };
-    // Space for the largest error of the span.
-    let top = |c: usize| {
+    let covered = |high: f64, low: f64| {
+        let ends = [(from, low), (from, high), (f64::NAN, f64::NAN), (to, low), (to, high)];
+        series("covered", colors::AXIS, Shape::Line(1), ends)
+    };
+    let errors = |title: &str, unit: &str, c: usize| {
+        // Space for the largest error of the span.
         let within = |r: &&[f64; 3]| (span[0]..span[1]).contains(&r[0]);
         let rows = poses.with.iter().chain(&poses.without).filter(within);
-        1.2 * rows.map(|r| r[c]).fold(0.1, f64::max)
+        let top = 1.2 * rows.map(|r| r[c]).fold(0.1, f64::max);
+        Panel {
+            title: title.into(),
+            x: time(),
+            y: axis(format!("error [{unit}]"), [0.0, top], false),
+            series: vec![
+                covered(top, 0.0),
+                series(WITHOUT, colors::CAMERA, Shape::Line(3), column(&poses.without, c)),
+                series(WITH, colors::PAPER, Shape::Line(1), column(&poses.with, c)),
+                series("default filter", colors::FUSED, Shape::Line(2), column(&poses.fused, c)),
+            ],
+        }
     };
-    let covered = |high: f64, low: f64| Series {
-        name: "covered".into(),
-        color: colors::AXIS,
-        shape: Shape::Line(1),
-        points: vec![(from, low), (from, high), (f64::NAN, f64::NAN), (to, low), (to, high)],
-        spread: Vec::new(),
-    };
-    let sheet = Sheet { title: "", size: (1120, 430), grid: (1, 3) };
-    let own = chart_color(cover.color);
-    let svg = panels(
-        sheet,
-        &[
-            Panel {
-                title: format!("reported position of the {} marker", cover.color),
-                x: time(),
-                y: axis("off the truth [px]", [0.001, 30.0], true),
-                series: vec![
-                    covered(30.0, 0.001),
-                    line("detected", own, Shape::Dots, of(&places[0], MarkerState::Detected)),
-                    line(
-                        "predicted, rigid motion",
-                        colors::VIOLET,
-                        Shape::Dotted,
-                        of(&places[0], MarkerState::Predicted),
-                    ),
-                    line(
-                        "predicted, mean flow (eq. 3)",
-                        colors::PAPER,
-                        Shape::Dotted,
-                        of(&places[1], MarkerState::Predicted),
-                    ),
-                ],
-            },
-            Panel {
-                title: "translation".into(),
-                x: time(),
-                y: axis("error [mm]", [0.0, top(1)], false),
-                series: vec![
-                    covered(top(1), 0.0),
-                    line(WITHOUT, colors::CAMERA, Shape::Line(3), column(&poses.without, 1, 0.08)),
-                    line(WITH, colors::PAPER, Shape::Line(1), column(&poses.with, 1, 0.08)),
-                    line(
-                        "default filter",
-                        colors::FUSED,
-                        Shape::Line(2),
-                        column(&poses.fused, 1, 0.08),
-                    ),
-                ],
-            },
-            Panel {
-                title: "rotation".into(),
-                x: time(),
-                y: axis("error [deg]", [0.0, top(2)], false),
-                series: vec![
-                    covered(top(2), 0.0),
-                    line(WITHOUT, colors::CAMERA, Shape::Line(3), column(&poses.without, 2, 0.08)),
-                    line(WITH, colors::PAPER, Shape::Line(1), column(&poses.with, 2, 0.08)),
-                    line(
-                        "default filter",
-                        colors::FUSED,
-                        Shape::Line(2),
-                        column(&poses.fused, 2, 0.08),
-                    ),
-                ],
-            },
+    let [rigid, mean] = places;
+    let (detected, predicted) = (MarkerState::Detected, MarkerState::Predicted);
+    let position = Panel {
+        title: format!("reported position of the {} marker", cover.color),
+        x: time(),
+        y: axis("off the truth [px]", [0.001, 30.0], true),
+        series: vec![
+            covered(30.0, 0.001),
+            of("detected", chart_color(cover.color), Shape::Dots, rigid, detected),
+            of("predicted, rigid motion", colors::VIOLET, Shape::Dotted, rigid, predicted),
+            of("predicted, mean flow (eq. 3)", colors::PAPER, Shape::Dotted, mean, predicted),
         ],
+    };
+    let svg = panels(
+        Sheet { title: "", size: (1120, 430), grid: (1, 3) },
+        &[position, errors("translation", "mm", 1), errors("rotation", "deg", 2)],
     )?;
     d.embed(0.0, bottom + 4.0, &svg);
     Ok(d.finish(bottom + 440.0, "Fig. 6: an occluded marker"))

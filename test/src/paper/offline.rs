@@ -9,15 +9,12 @@ use anyhow::{Context, Result, ensure};
 use marker_tracker::{BinaryThreshold, Method, Tracker, TrackerConfig};
 use pose_fusion::{Fusion, FusionConfig, Model, Output};
 use rig_model::{ImuSample, MarkerObservations, Stamp};
-use rig_simulator::{
-    inertial::{Message, Sensors},
-    random::Random,
-};
+use rig_simulator::{inertial::Message, random::Random};
 
 /// What the filter is fed with.
 pub struct Recording {
-    /// Arrival and message, in order of arrival.
-    pub messages: Vec<(Stamp, Message)>,
+    /// Inputs with their arrivals, in order of arrival.
+    pub inputs: Vec<(Stamp, pose_fusion::Input)>,
     /// The IMU samples alone.
     pub samples: Vec<ImuSample>,
 }
@@ -52,8 +49,7 @@ pub fn record(scenario: &Scenario, images: &ImageSequence) -> Result<Recording> 
 
 /// The same with markers that were tracked already.
 pub fn record_observed(scenario: &Scenario, observed: Vec<MarkerObservations>) -> Recording {
-    let sensors =
-        Sensors::new(&scenario.motion, &scenario.rig, &scenario.camera, &scenario.sensors);
+    let sensors = scenario.simulated_sensors();
     let mut messages = sensors.imu();
     let samples = messages
         .iter()
@@ -67,7 +63,8 @@ pub fn record_observed(scenario: &Scenario, observed: Vec<MarkerObservations>) -
         messages.push((arrival, Message::Markers(observations)));
     }
     messages.sort_by_key(|(arrival, _)| *arrival);
-    Recording { messages, samples }
+    let inputs = messages.into_iter().map(|(arrival, message)| (arrival, message.into()));
+    Recording { inputs: inputs.collect(), samples }
 }
 
 /// The filter's poses, and those from one image each.
@@ -94,12 +91,8 @@ pub fn fuse(scenario: &Scenario, recording: &Recording, config: FusionConfig) ->
     fusion.handle(pose_fusion::Input::Camera(scenario.camera.clone()));
     let mut poses = Poses { fused: Track::new(), visual: Track::new() };
     let mut warnings = Vec::new();
-    for (_, message) in &recording.messages {
-        fusion.handle(match message {
-            Message::Imu(s) => pose_fusion::Input::Imu(*s),
-            Message::Markers(m) => pose_fusion::Input::Markers(m.clone()),
-            Message::Climber(c) => pose_fusion::Input::Climber(c.clone()),
-        });
+    for (_, input) in &recording.inputs {
+        fusion.handle(input.clone());
         while let Some(output) = fusion.poll() {
             match output {
                 Output::Odometry(o) => poses.fused.push((o.stamp, o.world_from_volant)),

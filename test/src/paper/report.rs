@@ -1,9 +1,9 @@
 //! The page that shows what was made.
 
-use super::{Made, read, write};
+use super::{Made, read, table, write};
 use anyhow::Result;
 use std::path::Path;
-use volant::report::{Block, Page, Section, Table};
+use volant::report::{Block, Page, Section};
 
 pub const TITLE: &str = "Published figures and tables, reproduced";
 
@@ -19,15 +19,8 @@ pub fn write_report(
         let mut blocks =
             vec![Block::labelled("What it shows.", &m.shows), Block::Figure(read(&m.svg)?)];
         blocks.extend(m.table.clone().map(Block::Table));
-        let cell = |text: &str| (text.to_owned(), false);
-        blocks.push(Block::Table(Table {
-            head: ["quantity", "published", "here"].map(String::from).to_vec(),
-            rows: m
-                .values
-                .iter()
-                .map(|v| vec![cell(&v.what), cell(&v.published), cell(&v.here)])
-                .collect(),
-        }));
+        let rows = m.values.iter().map(|v| [&v.what, &v.published, &v.here].map(String::clone));
+        blocks.push(Block::Table(table(["quantity", "published", "here"], rows)));
         blocks.push(Block::labelled("Against the published one.", &m.published));
         let name =
             |p: &Path| p.file_name().map(|f| f.to_string_lossy().into_owned()).unwrap_or_default();

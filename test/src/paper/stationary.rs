@@ -1,19 +1,15 @@
 //! Fig. 9: the translation of a stationary IMU, with and without threshold control.
 
-use super::{Made, Value, write};
+use super::{Made, Value, axis, series, table, write};
 use crate::{
     accuracy::{Track, inertial_alone},
     live::Scenario,
 };
 use anyhow::Result;
-use nalgebra::Vector3;
-use rig_model::ImuSample;
-use rig_simulator::{
-    inertial::{Message, Sensors},
-    motion::MotionConfig,
-};
+use nalgebra::{Isometry3, Point3, Vector3};
+use rig_simulator::motion::MotionConfig;
 use std::{fmt::Write, path::Path};
-use volant::report::{Axis, Panel, Series, Shape, Sheet, Table, colors, panels};
+use volant::report::{Panel, Shape, Sheet, colors, panels};
 
 /// The published threshold, m/s.
 const LITERAL: f64 = 1e-5;
@@ -25,12 +21,7 @@ const HELD: f64 = 1.0;
 /// Makes `fig-9.csv` and `fig-9.svg`.
 pub fn figure_9(seed: u64, folder: &Path) -> Result<Made> {
     let scenario = Scenario::new(MotionConfig { duration: SECONDS, ..MotionConfig::rest(seed) })?;
-    let samples: Vec<ImuSample> =
-        Sensors::new(&scenario.motion, &scenario.rig, &scenario.camera, &scenario.sensors)
-            .imu()
-            .into_iter()
-            .filter_map(|(_, m)| if let Message::Imu(s) = m { Some(s) } else { None })
-            .collect();
+    let samples = scenario.simulated_sensors().imu_samples();
     let epoch = scenario.sensors.epoch;
     let start = (epoch, scenario.motion.world_from_volant(0.0));
     let with = |threshold: f64| -> Track {
@@ -43,18 +34,13 @@ pub fn figure_9(seed: u64, folder: &Path) -> Result<Made> {
             threshold,
         )
     };
+    // The IMU's attitude error varies, and with it the lever arm to the platform's origin: that is
+    // not drift.
+    let lever = Point3::from(scenario.rig.imu.volant_from_imu.translation.vector);
+    let truth = start.1 * lever;
     let off = |track: &Track| -> Vec<(f64, f64)> {
-        track
-            .iter()
-            .map(|(at, pose)| {
-                // The IMU's attitude error varies, and with it the lever arm to the platform's
-                // origin: that is not drift.
-                let lever = scenario.rig.imu.volant_from_imu.translation.vector;
-                let place = (pose * nalgebra::Point3::from(lever)).coords;
-                let truth = (start.1 * nalgebra::Point3::from(lever)).coords;
-                (at.seconds_since(epoch), (place - truth).norm() * 1e3)
-            })
-            .collect()
+        let off = |pose: &Isometry3<f64>| (pose * lever - truth).norm() * 1e3;
+        track.iter().map(|(at, pose)| (at.seconds_since(epoch), off(pose))).collect()
     };
     let furthest = |curve: &[(f64, f64)]| curve.iter().map(|(_, d)| *d).fold(0.0, f64::max);
     let (without, literal) = (off(&with(0.0)), off(&with(LITERAL)));
@@ -74,21 +60,21 @@ pub fn figure_9(seed: u64, folder: &Path) -> Result<Made> {
     let path = write(folder, "fig-9.csv", &csv)?;
     let svg = write(folder, "fig-9.svg", &draw(&without, &literal, &held, smallest)?)?;
     let row = |threshold: &str, curve: &[(f64, f64)]| {
-        vec![(threshold.to_owned(), false), (format!("{:.1}", furthest(curve)), false)]
+        [threshold.to_owned(), format!("{:.1}", furthest(curve))]
     };
     Ok(Made {
         name: "fig-9",
         title: "Fig. 9: translation while stationary, with and without threshold control",
         csv: path,
         svg,
-        table: Some(Table {
-            head: vec!["threshold".into(), format!("furthest within {SECONDS:.0} s [mm]")],
-            rows: vec![
+        table: Some(table(
+            ["threshold", &format!("furthest within {SECONDS:.0} s [mm]")],
+            [
                 row("none", &without),
                 row("1e-5 m/s, as published", &literal),
                 row(&format!("{smallest:.1e} m/s, the smallest that holds"), &held),
             ],
-        }),
+        )),
         values: vec![
             Value::new(
                 "threshold that holds the position [m/s]",
@@ -128,22 +114,19 @@ fn draw(
     held: &[(f64, f64)],
     smallest: f64,
 ) -> Result<String> {
-    let line = |name: String, color, width, curve: &[(f64, f64)]| Series {
-        name,
-        color,
-        shape: Shape::Line(width),
+    let line = |name: &str, color, width, curve: &[(f64, f64)]| {
         // The scale is logarithmic: the curves are orders of magnitude apart.
-        points: curve.iter().step_by(5).map(|(t, d)| (*t, d.max(0.01))).collect(),
-        spread: Vec::new(),
+        let points = curve.iter().step_by(5).map(|(t, d)| (*t, d.max(0.01)));
+        series(name, color, Shape::Line(width), points)
     };
     let panel = Panel {
         title: String::new(),
-        x: Axis { name: "time [s]".into(), range: [0.0, SECONDS], log: false },
-        y: Axis { name: "distance from the start [mm]".into(), range: [0.01, 30_000.0], log: true },
+        x: axis("time [s]", [0.0, SECONDS], false),
+        y: axis("distance from the start [mm]", [0.01, 30_000.0], true),
         series: vec![
-            line("without threshold".into(), colors::CAMERA, 5, without),
-            line("1e-5 m/s, as published".into(), colors::INERTIAL, 2, literal),
-            line(format!("{smallest:.1e} m/s, the smallest that holds"), colors::FUSED, 2, held),
+            line("without threshold", colors::CAMERA, 5, without),
+            line("1e-5 m/s, as published", colors::INERTIAL, 2, literal),
+            line(&format!("{smallest:.1e} m/s, the smallest that holds"), colors::FUSED, 2, held),
         ],
     };
     let title = "Fig. 9: translation of a stationary IMU, doubly integrated";

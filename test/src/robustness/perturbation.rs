@@ -3,7 +3,9 @@
 use super::recording::Recording;
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 use pose_fusion::Input;
-use rig_model::{CameraModel, ImuSample, MarkerObservation, Stamp};
+use rig_model::{
+    CameraModel, ClimberSample, ImuSample, MarkerObservation, MarkerObservations, Stamp,
+};
 use rig_simulator::random::Random;
 use std::fmt;
 
@@ -163,10 +165,12 @@ impl Perturbation {
         let from = recording.start().plus_seconds(recording.perturbed_from);
         let lasts = self.duration();
         let within = |stamp: Stamp| (0.0..lasts.max(1e-9)).contains(&stamp.seconds_since(from));
-        let radians = |degrees: f64| degrees.to_radians();
         let turn = |axis: Vector3<f64>, degrees: f64| {
-            UnitQuaternion::from_scaled_axis(axis * radians(degrees))
+            UnitQuaternion::from_scaled_axis(axis * degrees.to_radians())
         };
+        // The first sample of the perturbed time.
+        let mut once = true;
+        let mut first = |stamp: Stamp| stamp >= from && std::mem::take(&mut once);
         match *self {
             Self::GyroScale(x) => each_imu(recording, |s| s.angular_velocity *= 1.0 + x),
             Self::AccelerometerScale(x) => each_imu(recording, |s| s.specific_force *= 1.0 + x),
@@ -175,17 +179,12 @@ impl Perturbation {
             Self::CameraMounting(x) => {
                 recording.rig.climber_from_camera.rotation *= turn(Vector3::x(), x)
             }
-            Self::FocalLength(x) => {
-                for (_, input) in &mut recording.inputs {
-                    if let Input::Camera(camera) = input {
-                        let (f, c) = (camera.focal_lengths() * (1.0 + x), camera.principal_point());
-                        let (w, h) = camera.size();
-                        let scaled =
-                            CameraModel::new(w, h, [f.x, f.y, c.x, c.y], *camera.distortion());
-                        *camera = scaled.unwrap_or_else(|_| camera.clone());
-                    }
-                }
-            }
+            Self::FocalLength(x) => each_camera(recording, |camera| {
+                let (f, c) = (camera.focal_lengths() * (1.0 + x), camera.principal_point());
+                let (w, h) = camera.size();
+                let scaled = CameraModel::new(w, h, [f.x, f.y, c.x, c.y], *camera.distortion());
+                *camera = scaled.unwrap_or_else(|_| camera.clone());
+            }),
             Self::Layout(x) => {
                 recording.rig.markers.centers.0.iter_mut().for_each(|c| c.coords *= 1.0 + x);
                 recording.rig.markers.side *= 1.0 + x;
@@ -196,17 +195,12 @@ impl Perturbation {
                 s.world_from_climber.translation.vector.y *= 1.0 + x;
             }),
             Self::EncoderDelay(x) => each_climber(recording, |s| s.stamp = s.stamp.plus_seconds(x)),
-            Self::EncoderOff(x, duration) => {
-                let mut once = true;
-                each_climber(recording, |s| {
-                    let hit =
-                        if duration == 0.0 { once && s.stamp >= from } else { within(s.stamp) };
-                    if hit {
-                        once = false;
-                        s.world_from_climber.translation.vector.x += x;
-                    }
-                });
-            }
+            Self::EncoderOff(x, duration) => each_climber(recording, |s| {
+                let hit = if duration == 0.0 { first(s.stamp) } else { within(s.stamp) };
+                if hit {
+                    s.world_from_climber.translation.vector.x += x;
+                }
+            }),
             Self::EncoderFrozen(_) => {
                 let mut frozen = None;
                 each_climber(recording, |s| {
@@ -238,57 +232,41 @@ impl Perturbation {
                     }
                 });
             }
-            Self::ImuSpike(x) => {
-                let mut once = true;
-                each_imu(recording, |s| {
-                    if once && s.stamp >= from {
-                        once = false;
-                        s.specific_force.x = x;
-                    }
-                });
-            }
-            Self::GyroSaturated(x) => {
-                each_imu(recording, |s| {
-                    s.angular_velocity = s.angular_velocity.map(|w| w.clamp(-x, x))
-                });
-            }
+            Self::ImuSpike(x) => each_imu(recording, |s| {
+                if first(s.stamp) {
+                    s.specific_force.x = x;
+                }
+            }),
+            Self::GyroSaturated(x) => each_imu(recording, |s| {
+                s.angular_velocity = s.angular_velocity.map(|w| w.clamp(-x, x))
+            }),
             Self::ImuLost(_) => {
                 recording.inputs.retain(|(_, i)| !matches!(i, Input::Imu(s) if within(s.stamp)));
             }
             Self::EncodersLost(_) => {
-                recording
-                    .inputs
-                    .retain(|(_, i)| !matches!(i, Input::Climber(s) if within(s.stamp)));
+                let lost = |i: &Input| matches!(i, Input::Climber(s) if within(s.stamp));
+                recording.inputs.retain(|(_, i)| !lost(i));
             }
             Self::ImagesLost(_) => {
-                recording
-                    .inputs
-                    .retain(|(_, i)| !matches!(i, Input::Markers(s) if within(s.stamp)));
+                let lost = |i: &Input| matches!(i, Input::Markers(s) if within(s.stamp));
+                recording.inputs.retain(|(_, i)| !lost(i));
             }
             Self::CameraDelay(x) => {
                 each_climber(recording, |s| s.stamp = s.stamp.plus_seconds(x));
-                for (_, input) in &mut recording.inputs {
-                    if let Input::Markers(m) = input {
-                        m.stamp = m.stamp.plus_seconds(x);
-                    }
-                }
+                each_image(recording, |m| m.stamp = m.stamp.plus_seconds(x));
             }
             Self::ImageJitter(most) => {
                 let mut random = Random::fork(1, "stamps");
-                for (_, input) in &mut recording.inputs {
-                    if let Input::Markers(m) = input {
-                        m.stamp = m.stamp.plus_seconds(random.within(-most, most));
-                    }
-                }
+                each_image(recording, |m| {
+                    m.stamp = m.stamp.plus_seconds(random.within(-most, most));
+                });
             }
             Self::CameraShake(sigma) => {
                 let mut random = Random::fork(1, "shake");
-                for (_, input) in &mut recording.inputs {
-                    if let Input::Markers(m) = input {
-                        let off = Vector2::from_fn(|_, _| sigma * random.normal());
-                        m.markers.0.iter_mut().for_each(|marker| marker.centroid += off);
-                    }
-                }
+                each_image(recording, |m| {
+                    let off = Vector2::from_fn(|_, _| sigma * random.normal());
+                    m.markers.0.iter_mut().for_each(|marker| marker.centroid += off);
+                });
             }
             Self::ImuTwice => {
                 let twice = recording.inputs.drain(..).flat_map(|(at, input)| {
@@ -298,16 +276,12 @@ impl Perturbation {
                 recording.inputs = twice.collect();
             }
             Self::ImuBursts(count) => arrive_in_bursts(recording, count),
-            Self::Exchanged(_) => {
-                for (_, input) in &mut recording.inputs {
-                    if let Input::Markers(m) = input
-                        && within(m.stamp)
-                    {
-                        m.markers.0[0] = MarkerObservation::lost(1);
-                        m.markers.0.swap(1, 2);
-                    }
+            Self::Exchanged(_) => each_image(recording, |m| {
+                if within(m.stamp) {
+                    m.markers.0[0] = MarkerObservation::lost(1);
+                    m.markers.0.swap(1, 2);
                 }
-            }
+            }),
         }
     }
 }
@@ -320,10 +294,26 @@ pub(crate) fn each_imu(recording: &mut Recording, mut change: impl FnMut(&mut Im
     }
 }
 
-fn each_climber(recording: &mut Recording, mut change: impl FnMut(&mut rig_model::ClimberSample)) {
+pub(crate) fn each_climber(recording: &mut Recording, mut change: impl FnMut(&mut ClimberSample)) {
     for (_, input) in &mut recording.inputs {
         if let Input::Climber(sample) = input {
             change(sample);
+        }
+    }
+}
+
+fn each_image(recording: &mut Recording, mut change: impl FnMut(&mut MarkerObservations)) {
+    for (_, input) in &mut recording.inputs {
+        if let Input::Markers(image) = input {
+            change(image);
+        }
+    }
+}
+
+pub(crate) fn each_camera(recording: &mut Recording, mut change: impl FnMut(&mut CameraModel)) {
+    for (_, input) in &mut recording.inputs {
+        if let Input::Camera(camera) = input {
+            change(camera);
         }
     }
 }

@@ -1,11 +1,15 @@
 //! Recordings with ground truth as inputs of the estimator.
 
+use anyhow::Context;
 use bag::recording::{self, Markers, RecordingError, read_markers, true_centroids};
 use nalgebra::Isometry3;
 use pose_fusion::Input;
 use rig_model::{CameraModel, Rig, Stamp, score::Truth};
 use rig_simulator::random::Random;
-use std::path::Path;
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
 
 #[derive(Clone, Debug)]
 pub struct Recording {
@@ -21,6 +25,19 @@ pub struct Recording {
 
 /// Default beginning of a perturbation of limited duration, s after the first truth.
 pub const PERTURBED_FROM: f64 = 5.0;
+
+/// Returns the folders of recordings with truth in `bags` whose name contains `only`, sorted.
+pub fn folders(bags: &Path, only: &str) -> anyhow::Result<Vec<PathBuf>> {
+    let entries = fs::read_dir(bags).with_context(|| bags.display().to_string())?;
+    let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let mut folders: Vec<PathBuf> = entries
+        .filter_map(|entry| Some(entry.ok()?.path()))
+        .filter(|path| ["in.mcap", "truth.mcap"].iter().all(|file| path.join(file).is_file()))
+        .filter(|path| name(path).contains(only))
+        .collect();
+    folders.sort();
+    Ok(folders)
+}
 
 impl Recording {
     /// Reads a folder with `in.mcap`, `rig.yaml`, `truth.mcap` and `truth_markers.csv`.

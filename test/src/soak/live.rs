@@ -2,7 +2,7 @@
 
 use super::Instances;
 use crate::{
-    faults::{Bench, Notes, Row, outcome, table},
+    faults::{Notes, Row, outcome, table},
     live::{ImageSequence, Received, Run, Scenario, Site, TopicLog},
 };
 use anyhow::Result;
@@ -88,9 +88,9 @@ pub fn run(
         if row.kills.is_some() {
             seen.instances.killed(now);
         }
-        row.start(&mut Bench { run: &mut run, epoch, scenario, notes: &mut notes })?;
+        (row.begin)(&mut run, &mut notes)?;
         watch(&mut run, now + lasts, &mut seen, &mut progress);
-        row.stop(&mut Bench { run: &mut run, epoch, scenario, notes: &mut notes })?;
+        (row.end)(&mut run, &mut notes)?;
         let over = run.hardware.seconds();
         watch(&mut run, over + calm, &mut seen, &mut progress);
         seen.failures.extend(notes.failures);
@@ -132,10 +132,9 @@ fn judge(
     };
     let fused = received.fused();
     let end = fused.last().map_or(epoch, |(stamp, _)| *stamp);
-    let [gate, _] = outcome::GATE;
     let nees = received.nees(Stamp::default(), end, truth);
     seen.odometry += nees.len() as u64;
-    let beyond: Vec<_> = nees.iter().filter(|(_, n)| n[0] > gate || n[1] > gate).collect();
+    let beyond = outcome::beyond(&nees);
     if let (Some((first, _)), Some((last, _))) = (beyond.first(), beyond.last()) {
         let since = |at: &Stamp| at.seconds_since(epoch);
         let largest = |i: usize| beyond.iter().map(|(_, n)| n[i]).fold(0.0, f64::max);
@@ -181,7 +180,7 @@ fn conclude(seen: &mut Seen) {
     if seen.odometry == 0 {
         seen.failures.push("no odometry was received".to_owned());
     }
-    if share > outcome::GATE[1] {
+    if share > outcome::NEES_SHARE {
         seen.failures.push(format!(
             "the truth contradicts the covariance in {:.1} % of the odometry",
             share * 100.0

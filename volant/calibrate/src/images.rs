@@ -273,9 +273,8 @@ fn from_topic(name: &str, take: &mut impl FnMut(Frame) -> Result<bool>) -> Resul
         std::thread::sleep(PATIENCE / 50);
     }
     let Some(offer) = found else {
-        let mut images: Vec<String> =
+        let images: Vec<String> =
             tap.offers().into_iter().map(|o| o.topic).filter(is_image).map(|t| t.name).collect();
-        images.sort();
         let known = if images.is_empty() {
             "no images are published".to_owned()
         } else {

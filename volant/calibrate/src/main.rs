@@ -1,9 +1,14 @@
-//! `volant calibrate`: see the library.
+//! `volant calibrate camera`: calibration of the camera.
+//! Images yield a standard `camera_info` file, with uncertainties. Images that do not determine
+//! the result are rejected, with what is missing.
 
+mod camera;
+mod images;
+
+use camera::command::CameraArguments;
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
 use volant::command_line;
-use volant_calibrate::camera::command::{self as camera, CameraArguments};
 
 /// Calibrate the camera; `colors`, `rig`, `climber` and `imu` are part of `volant`
 #[derive(Parser)]
@@ -24,10 +29,8 @@ fn main() -> ExitCode {
         Ok(arguments) => arguments,
         Err(status) => return status,
     };
-    let done = match arguments.command {
-        Command::Camera(arguments) => camera::run(&arguments),
-    };
-    match done {
+    let Command::Camera(arguments) = arguments.command;
+    match camera::command::run(&arguments) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => command_line::failure("volant calibrate", &error),
     }

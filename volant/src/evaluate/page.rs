@@ -2,8 +2,8 @@
 
 use super::{EvaluateOptions, Evaluation, Truth, report};
 use crate::report::{
-    Axis, Block, ChartError, Color, Curve, Page, Panel, Run, Section, Series, Shape, Sheet, Track,
-    colors, panels, six_curves,
+    Axis, Block, ChartError, Curve, Page, Panel, Run, Section, Series, Shape, Sheet, colors,
+    panels, six_curves,
 };
 use nalgebra::Isometry3;
 use rig_model::{Stamp, topics};
@@ -21,21 +21,15 @@ pub fn page(evaluation: &Evaluation, options: &EvaluateOptions) -> Result<Page, 
         tracks.truth.span().map_or(0.0, |(_, last)| last.seconds_since(tracks.began)).max(0.1);
     // `fused_pose` is the same odometry, inverted: its curve would coincide.
     // The dots of single images first, so that the line is above them.
-    let shown: Vec<(&str, &Track, Color, u32)> = tracks
-        .estimates
-        .iter()
-        .rev()
-        .filter_map(|(topic, track)| match topic.as_str() {
-            topics::VISUAL_POSE => Some(("camera alone", track, colors::CAMERA, 0)),
-            topics::ODOMETRY => Some(("fused", track, colors::FUSED, 3)),
-            _ => None,
-        })
-        .collect();
+    let shown = tracks.estimates.iter().rev().filter_map(|(topic, track)| match topic.as_str() {
+        topics::VISUAL_POSE => {
+            Some(Curve { name: "camera alone", track, color: colors::CAMERA, width: 0 })
+        }
+        topics::ODOMETRY => Some(Curve { name: "fused", track, color: colors::FUSED, width: 3 }),
+        _ => None,
+    });
+    let curves: Vec<Curve<'_>> = shown.collect();
     let truth = |t: f64| Some(tracks.truth.at(tracks.began.plus_seconds(t))?.world_from_volant);
-    let curves: Vec<Curve<'_>> = shown
-        .iter()
-        .map(|(name, track, color, width)| Curve { name, track, color: *color, width: *width })
-        .collect();
     let run = Run {
         title: "Pose of the platform in the world frame",
         epoch: tracks.began,
@@ -44,10 +38,8 @@ pub fn page(evaluation: &Evaluation, options: &EvaluateOptions) -> Result<Page, 
         shaded: &[],
     };
     let six = six_curves(&run, &curves)?;
-    let words =
-        |losses: &[String]| losses.iter().map(|l| Block::Note(l.clone())).collect::<Vec<_>>();
     let mut blocks = vec![Block::Table(report::rows(&evaluation.estimates))];
-    blocks.extend(words(&evaluation.losses));
+    blocks.extend(evaluation.losses.iter().cloned().map(Block::Note));
     let mut facts = vec![
         ("Made by".into(), format!("volant {}", env!("CARGO_PKG_VERSION"))),
         (
@@ -95,7 +87,7 @@ pub fn page(evaluation: &Evaluation, options: &EvaluateOptions) -> Result<Page, 
                     seconds,
                     options.skip,
                     &tracks.truth,
-                    &shown,
+                    &curves,
                 )?)],
             },
         ],
@@ -107,14 +99,15 @@ fn distances(
     seconds: f64,
     skip: f64,
     truth: &Truth,
-    shown: &[(&str, &Track, Color, u32)],
+    curves: &[Curve<'_>],
 ) -> Result<String, ChartError> {
     let curve = |of: &dyn Fn(&Isometry3<f64>, &Isometry3<f64>) -> f64| -> (Vec<Series>, f64) {
         let mut all = Vec::new();
-        let series = shown
+        let series = curves
             .iter()
-            .map(|(name, track, color, width)| {
-                let points: Vec<(f64, f64)> = track
+            .map(|drawn| {
+                let points: Vec<(f64, f64)> = drawn
+                    .track
                     .iter()
                     .filter_map(|(stamp, pose)| {
                         Some((
@@ -131,10 +124,10 @@ fn distances(
                     .chunks(step)
                     .filter_map(|c| c.iter().copied().max_by(|a, b| a.1.total_cmp(&b.1)))
                     .collect();
-                let shape = if *width == 0 { Shape::Dots } else { Shape::Line(2) };
+                let shape = if drawn.width == 0 { Shape::Dots } else { Shape::Line(2) };
                 Series {
-                    name: (*name).to_owned(),
-                    color: *color,
+                    name: drawn.name.to_owned(),
+                    color: drawn.color,
                     shape,
                     points: thinned,
                     spread: Vec::new(),

@@ -5,63 +5,13 @@
 pub mod foxglove;
 pub mod monitor;
 pub mod play;
-mod player;
 pub mod raw;
 pub mod record;
 pub mod tap;
 
-use bag::BagError;
-use node_kit::{environment::EnvironmentError, node::NodeError};
-use thiserror::Error;
-
-/// Why live topics are not accessible.
-#[derive(Debug, Error)]
-pub enum LiveError {
-    /// The bag.
-    #[error(transparent)]
-    Bag(#[from] BagError),
-    /// The environment.
-    #[error(transparent)]
-    Environment(#[from] EnvironmentError),
-    /// Joining the domain failed.
-    #[error(transparent)]
-    Join(#[from] NodeError),
-    /// An operation of the middleware failed.
-    #[error("{what}: {reason}")]
-    Middleware {
-        /// What failed.
-        what: String,
-        /// Its reason.
-        reason: String,
-    },
-    /// A thread has not started, or has ended.
-    #[error("{what} ended too early; this is a bug, please report it")]
-    Thread {
-        /// Which.
-        what: &'static str,
-    },
-    /// The server's address is not available.
-    #[error("{address}: {source}; is another server there? Give another address or port")]
-    Address {
-        /// Which.
-        address: std::net::SocketAddr,
-        /// The system's reason.
-        source: std::io::Error,
-    },
-    /// The terminal.
-    #[error("the terminal: {source}; `--once` or a pipe writes plain text")]
-    Terminal {
-        /// The system's reason.
-        source: std::io::Error,
-    },
-    /// The bag holds no messages to play.
-    #[error("{path}: nothing to play{why}")]
-    Nothing {
-        /// The bag.
-        path: String,
-        /// Why no message is left.
-        why: String,
-    },
+/// The error of a thread that has not started, or has ended.
+fn thread_ended(what: &str) -> anyhow::Error {
+    anyhow::anyhow!("{what} ended too early; this is a bug, please report it")
 }
 
 /// Time of the system clock, ns since the epoch: when a message was received.

@@ -1,16 +1,29 @@
 //! Plays a bag to live topics, at the pace of its log times.
 
-pub use super::player::PlayControl;
 use super::{
-    LiveError, player,
     raw::{Raw, RawAdapter},
+    thread_ended,
 };
 use crate::{replay::TopicNames, stopwatch::Stopwatch};
+use anyhow::{Result, anyhow};
 use bag::{BagReader, Qos, Topic, qos_from_yaml};
-use node_kit::node::{NodeHandle, ros_topic, unlimited_policies, with_type_hash};
+use node_kit::{
+    RosArguments,
+    node::{
+        NodeContext, NodeHandle, NodeShell, Process, ros_topic, unlimited_policies, with_type_hash,
+    },
+};
 use rig_model::topics;
 use rustdds::{RTPSEntity, no_key::DataWriter};
-use std::{collections::BTreeMap, path::PathBuf, time::Duration};
+use std::{
+    collections::BTreeMap,
+    path::PathBuf,
+    sync::{
+        atomic::{AtomicBool, Ordering},
+        mpsc::sync_channel,
+    },
+    time::Duration,
+};
 use volant_msgs::{Message, builtin_interfaces::msg::Time, cdr, rosgraph_msgs::msg::Clock};
 
 /// Longest sleep between two checks of the controls, and shortest time of a repetition.
@@ -66,20 +79,20 @@ struct Writer {
     latched: bool,
 }
 
-/// Plays a bag as the node `rosbag2_player`. `progress` is called with the bag's time and its span,
-/// ns.
+/// Plays a bag as the node `rosbag2_player`, until `stop` is set; its time stops while `paused` is
+/// set. `progress` is called with the bag's time and its span, ns.
 ///
 /// # Errors
 /// The bag is unreadable, holds nothing to play or lacks a remapped topic, or DDS creates no node
 /// or publisher.
 pub fn play(
     options: &PlayOptions,
-    control: &PlayControl,
+    stop: &AtomicBool,
+    paused: &AtomicBool,
     mut progress: impl FnMut(u64, (u64, u64)),
-) -> Result<PlayReport, LiveError> {
+) -> Result<PlayReport> {
     let summary = BagReader::summary(&options.input)?;
-    let nothing =
-        |why: String| LiveError::Nothing { path: options.input.display().to_string(), why };
+    let nothing = |why: String| anyhow!("{}: nothing to play{why}", options.input.display());
     let Some((first, last)) = summary.span else {
         return Err(nothing(": it holds no message".into()));
     };
@@ -116,7 +129,7 @@ pub fn play(
         let topic = Topic::of::<Clock>(&name, &qos);
         (Published { name, topic, qos }, 1.0 / hz)
     });
-    let (_node, (writers, clock)) = player::start(move |node| {
+    let (_node, (writers, clock)) = start_player(move |node| {
         let mut writers = BTreeMap::new();
         for (name, published) in chosen {
             writers.insert(name, published.advertise(node)?);
@@ -132,7 +145,8 @@ pub fn play(
         clock,
         clock_due: 0.0,
         watch: Stopwatch::start(),
-        control,
+        stop,
+        paused,
         rate: options.rate,
         origin: first,
         position: 0.0,
@@ -164,7 +178,7 @@ pub fn play(
             }
         }
         report.losses = bag.losses().to_vec();
-        if !options.repeat || control.is_stopped() {
+        if !options.repeat || pace.is_stopped() {
             break;
         }
         // A bag whose messages have one time is not repeated as fast as possible.
@@ -172,12 +186,44 @@ pub fn play(
     }
     // DDS repeats what reliable subscribers miss while this waits.
     let watch = Stopwatch::start();
-    let in_time = || watch.elapsed() < if control.is_stopped() { STOPPED_WAIT } else { LAST_WAIT };
+    let in_time = || watch.elapsed() < if pace.is_stopped() { STOPPED_WAIT } else { LAST_WAIT };
     for writer in writers.values() {
         while in_time() && matches!(writer.writer.wait_for_acknowledgments(SLICE), Ok(false)) {}
     }
     pace.hold(LINGER);
     Ok(report)
+}
+
+/// Node with rosbag2's name, which owns the publishers in the graph.
+struct Player;
+
+impl NodeShell for Player {
+    const NAME: &'static str = "rosbag2_player";
+    const ABOUT: &'static str = "plays a bag to live topics";
+    type Parameters = ();
+    type Input = ();
+
+    fn handle(&mut self, _: &mut NodeContext<()>, (): ()) {}
+}
+
+/// Starts the node `rosbag2_player` with what `publish` creates on it; dropping the returned
+/// process ends it.
+fn start_player<T: Send + 'static>(
+    publish: impl FnOnce(&mut NodeHandle) -> Result<T> + Send + 'static,
+) -> Result<(Process, T)> {
+    let mut process = Process::from_environment()?;
+    let (made, publishers) = sync_channel(1);
+    let mut publish = Some(publish);
+    process.start_with::<Player>(&RosArguments::default(), move |context, ()| {
+        // Once: the publishers stay when the node is configured again.
+        if let Some(publish) = publish.take() {
+            // The receiver is there until this has returned.
+            let _ = made.send(publish(context));
+        }
+        Ok(Player)
+    })?;
+    let publishers = publishers.recv().map_err(|_| thread_ended("the player's node"))??;
+    Ok((process, publishers))
 }
 
 /// A topic to publish, with its resolved name.
@@ -188,11 +234,7 @@ struct Published {
 }
 
 impl Published {
-    fn advertise(&self, node: &mut NodeHandle) -> Result<Writer, LiveError> {
-        let failed = |reason: String| LiveError::Middleware {
-            what: format!("the publisher of {}", self.name),
-            reason,
-        };
+    fn advertise(&self, node: &mut NodeHandle) -> Result<Writer> {
         // A slow subscriber delays the player for a moment only.
         let policies = unlimited_policies(&self.qos, rustdds::Duration::from_millis(100)).build();
         let policies = with_type_hash(policies, &self.topic.type_hash);
@@ -201,7 +243,7 @@ impl Published {
         let writer = participant
             .create_publisher(&policies)
             .and_then(|publisher| publisher.create_datawriter_no_key(&topic, Some(policies)))
-            .map_err(|e| failed(e.to_string()))?;
+            .map_err(|e| anyhow!("the publisher of {}: {e}", self.name))?;
         node.announce_writer(writer.guid());
         Ok(Writer { writer, latched: self.qos.transient_local })
     }
@@ -211,7 +253,8 @@ struct Pace<'a> {
     clock: Option<(Writer, f64)>,
     clock_due: f64,
     watch: Stopwatch,
-    control: &'a PlayControl,
+    stop: &'a AtomicBool,
+    paused: &'a AtomicBool,
     rate: f64,
     /// Time in the bag, ns.
     origin: u64,
@@ -225,9 +268,13 @@ impl Pace<'_> {
         self.watch.elapsed().as_secs_f64()
     }
 
+    fn is_stopped(&self) -> bool {
+        self.stop.load(Ordering::Acquire)
+    }
+
     fn hold(&self, time: Duration) {
         let end = self.now() + time.as_secs_f64();
-        while !self.control.is_stopped() && self.now() < end {
+        while !self.is_stopped() && self.now() < end {
             std::thread::sleep(SLICE.min(Duration::from_secs_f64((end - self.now()).max(0.0))));
         }
     }
@@ -245,8 +292,8 @@ impl Pace<'_> {
     /// stopped. Time stops while paused.
     fn until(&mut self, log_time: u64) -> bool {
         let due = self.since_origin(log_time);
-        while !self.control.is_stopped() {
-            let (paused, now) = (self.control.is_paused(), self.now());
+        while !self.is_stopped() {
+            let (paused, now) = (self.paused.load(Ordering::Acquire), self.now());
             if !paused {
                 self.position += (now - self.seen) * self.rate;
             }

@@ -3,10 +3,11 @@
 //! discovery for new topics. A bounded queue connects the first two; what it drops is counted.
 
 use super::{
-    LiveError,
     tap::{Offer, Sample, Subscription, Tap},
+    thread_ended,
 };
 use crate::stopwatch::Stopwatch;
+use anyhow::Result;
 use bag::{BagError, BagSummary, BagWriter, Topic, WriteOptions};
 use chrono::{DateTime, Utc};
 use node_kit::node::Loss;
@@ -17,7 +18,7 @@ use std::{
     sync::{
         Arc,
         atomic::{AtomicBool, AtomicU64, Ordering},
-        mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel},
+        mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel},
     },
     time::{Duration, SystemTime},
 };
@@ -68,7 +69,7 @@ pub struct RecordStatus {
 }
 
 impl RecordStatus {
-    fn fail(&self, error: &LiveError) {
+    fn fail(&self, error: &anyhow::Error) {
         let (mut failures, text) = (self.failures.lock(), error.to_string());
         if !failures.contains(&text) {
             failures.push(text);
@@ -97,12 +98,8 @@ pub struct RecordReport {
 enum Item {
     /// A new topic; topics are numbered from 0.
     Topic(Topic),
-    Message {
-        topic: usize,
-        log_time: u64,
-        publish_time: u64,
-        data: Vec<u8>,
-    },
+    /// A message of the topic of this number.
+    Message(usize, Sample),
 }
 
 /// Records until `stop` is set or the duration is over; calls `progress` regularly. What fails
@@ -114,7 +111,7 @@ pub fn record(
     options: &RecordOptions,
     stop: &AtomicBool,
     mut progress: impl FnMut(&RecordStatus),
-) -> Result<RecordReport, LiveError> {
+) -> Result<RecordReport> {
     // Joined first: a recording that cannot start leaves no file.
     let tap = Tap::join(NODE)?;
     let bag = BagWriter::create(&options.output, options.write)?;
@@ -173,7 +170,7 @@ pub fn record(
     let unpublished = takers.unpublished(&options.topics);
     // Dropping the subscriptions and the tap closes the queue, and the writer closes the bag.
     drop(takers);
-    let bag = writer.join().map_err(|_| LiveError::Thread { what: "the bag's writer" })??;
+    let bag = writer.join().map_err(|_| thread_ended("the bag's writer"))??;
     Ok(RecordReport {
         bag,
         dropped: status.dropped.load(Ordering::Relaxed),
@@ -195,9 +192,9 @@ fn write_all(mut bag: BagWriter, queue: &Receiver<Item>) -> Result<BagSummary, B
     loop {
         match queue.recv_timeout(FLUSH) {
             Ok(Item::Topic(topic)) => ids.push(bag.add_topic(topic)),
-            Ok(Item::Message { topic, log_time, publish_time, data }) => {
+            Ok(Item::Message(topic, sample)) => {
                 if let Some(id) = ids.get(topic) {
-                    bag.write(*id, log_time, publish_time, &data)?;
+                    bag.write(*id, sample.log_time, sample.publish_time, &sample.data)?;
                 }
             }
             Err(RecvTimeoutError::Timeout) => {}
@@ -226,7 +223,7 @@ impl Takers<'_> {
         requested.iter().filter(|t| !self.topics.contains_key(*t)).cloned().collect()
     }
 
-    fn add(&mut self, offer: Offer) -> Result<(), LiveError> {
+    fn add(&mut self, offer: Offer) -> Result<()> {
         if self.subscriptions.contains_key(&offer.topic.name) {
             return Ok(());
         }
@@ -244,16 +241,15 @@ impl Takers<'_> {
         };
         let (items, status) = (self.items.clone(), Arc::clone(self.status));
         let subscription = self.tap.subscribe(&offer, move |sample| {
-            let Sample { log_time, publish_time, lost, data, .. } = sample;
-            let bytes = data.len() as u64;
-            status.lost.fetch_add(lost, Ordering::Relaxed);
-            match items.try_send(Item::Message { topic: index, log_time, publish_time, data }) {
+            let bytes = sample.data.len() as u64;
+            status.lost.fetch_add(sample.lost, Ordering::Relaxed);
+            match items.try_send(Item::Message(index, sample)) {
                 Ok(()) => {
                     status.messages.fetch_add(1, Ordering::Relaxed);
                     status.bytes.fetch_add(bytes, Ordering::Relaxed);
                 }
-                // Disconnected: the writer failed, and the recording ends with its reason.
-                Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => {
+                // Full; or the writer failed, and the recording ends with its reason.
+                Err(_) => {
                     status.dropped.fetch_add(1, Ordering::Relaxed);
                 }
             }
@@ -291,7 +287,7 @@ mod tests {
     fn a_failure_that_is_tried_again_is_noted_once() {
         let status = RecordStatus::default();
         for what in ["the subscription of /a", "the subscription of /a", "the subscription of /b"] {
-            status.fail(&LiveError::Middleware { what: what.into(), reason: "no memory".into() });
+            status.fail(&anyhow::anyhow!("{what}: no memory"));
         }
         assert_eq!(status.failures.lock().len(), 2);
     }

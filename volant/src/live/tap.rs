@@ -2,10 +2,10 @@
 //! A [`Tap`] lists [`Offer`]s from discovery and passes [`Sample`]s on its own thread.
 
 use super::{
-    LiveError,
     raw::{Raw, RawAdapter, ros_type_name},
-    system_nanos,
+    system_nanos, thread_ended,
 };
+use anyhow::{Result, anyhow};
 use async_executor::{Executor, Task};
 use bag::{Qos, Topic, qos_to_yaml};
 use futures_lite::{StreamExt, future::block_on};
@@ -72,8 +72,8 @@ impl Tap {
     /// node of this name. `ros2 node list` hides one that begins with `_`.
     ///
     /// # Errors
-    /// As [`BareNode::join`], and [`LiveError::Environment`] for an invalid variable.
-    pub fn join(name: &str) -> Result<Self, LiveError> {
+    /// As [`BareNode::join`], or an invalid variable of the environment.
+    pub fn join(name: &str) -> Result<Self> {
         let (node, middleware) = BareNode::join(&Network::from_environment()?, name)?;
         let executor = Arc::new(Executor::new());
         let (end, ended) = async_channel::bounded::<()>(1);
@@ -86,7 +86,7 @@ impl Tap {
                     let _ = block_on(executor.run(ended.recv()));
                 }
             })
-            .map_err(|_| LiveError::Thread { what: "the thread that receives samples" })?;
+            .map_err(|_| thread_ended("the thread that receives samples"))?;
         Ok(Self { node, middleware, subscriber: None, executor, end, thread: Some(thread) })
     }
 
@@ -154,12 +154,9 @@ impl Tap {
         &mut self,
         offer: &Offer,
         mut take: impl FnMut(Sample) + Send + 'static,
-    ) -> Result<Subscription, LiveError> {
+    ) -> Result<Subscription> {
         let topic = &offer.topic;
-        let failed = |reason: String| LiveError::Middleware {
-            what: format!("the subscription of {}", topic.name),
-            reason,
-        };
+        let failed = |reason: String| anyhow!("the subscription of {}: {reason}", topic.name);
         // Samples are read as they arrive, so few wait. A busy computer can stop this thread for a
         // second, and samples beyond the depth are then lost (30 images of up to a megabyte, or 400
         // IMU samples).

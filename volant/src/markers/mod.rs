@@ -10,8 +10,6 @@ pub use pdf::pdf;
 pub use sheets::sheets;
 pub use svg::svg;
 
-use thiserror::Error;
-
 /// Size of the paper, mm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Paper {
@@ -80,25 +78,6 @@ pub enum Mark {
 pub struct Sheet {
     /// Marks in the order of printing.
     pub marks: Vec<Mark>,
-}
-
-/// Why the sheets are not made.
-#[derive(Clone, Debug, Error, PartialEq)]
-pub enum SheetError {
-    /// A square is larger than the paper.
-    #[error(
-        "a square of {side:.0} mm (markers.size) does not fit on {paper}, which takes {largest:.0} \
-         mm: choose larger paper (--page a3), have the SVG printed by a print shop, or cut the \
-         square from colored board"
-    )]
-    TooLarge {
-        /// Side of the square, mm.
-        side: f64,
-        /// Name of the paper.
-        paper: &'static str,
-        /// Side of the largest square, mm.
-        largest: f64,
-    },
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! Layout of the sheets.
 
-use super::{Align, Mark, Paper, Sheet, SheetError};
+use super::{Align, Mark, Paper, Sheet};
+use anyhow::{Result, bail};
 use rig_model::{MarkerColor, Rig};
 
 /// Margin that every printer leaves, mm.
@@ -64,12 +65,8 @@ impl Sheet {
 /// The sheets of a rig: squares, mounting drawing, advice. `focal_length` is the camera's, px.
 ///
 /// # Errors
-/// [`SheetError::TooLarge`]
-pub fn sheets(
-    rig: &Rig,
-    paper: &Paper,
-    focal_length: Option<f64>,
-) -> Result<Vec<Sheet>, SheetError> {
+/// A square is larger than the paper.
+pub fn sheets(rig: &Rig, paper: &Paper, focal_length: Option<f64>) -> Result<Vec<Sheet>> {
     let mut sheets = squares(rig, paper)?;
     sheets.push(drawing(rig, paper));
     sheets.push(advice(rig, paper, focal_length));
@@ -77,14 +74,19 @@ pub fn sheets(
 }
 
 /// The four squares, as many on a sheet as fit.
-fn squares(rig: &Rig, paper: &Paper) -> Result<Vec<Sheet>, SheetError> {
+fn squares(rig: &Rig, paper: &Paper) -> Result<Vec<Sheet>> {
     let side = 1e3 * rig.markers.side;
     let cell = side + 2.0 * ROOM;
     let free = [paper.width - 2.0 * MARGIN, paper.height - 2.0 * MARGIN - HEAD - FOOT];
     let fitting = free.map(|length| (length / cell + 1e-9).floor() as usize);
     if fitting.contains(&0) {
         let largest = free[0].min(free[1]) - 2.0 * ROOM;
-        return Err(SheetError::TooLarge { side, paper: paper.name, largest });
+        bail!(
+            "a square of {side:.0} mm (markers.size) does not fit on {}, which takes {largest:.0} \
+             mm: choose larger paper (--page a3), have the SVG printed by a print shop, or cut \
+             the square from colored board",
+            paper.name
+        );
     }
     let columns = fitting[0].min(2);
     let rows = fitting[1].min(4 / columns);

@@ -3,7 +3,7 @@
 
 use super::topic_names::TopicNames;
 use bag::{BagError, BagMessage, BagReader, BagSummary};
-use marker_tracker::{ImageError, OwnedImage, decode_compressed, from_encoding};
+use marker_tracker::{OwnedImage, decode_compressed, from_encoding};
 use parking_lot::Mutex;
 use rig_model::{Stamp, topics};
 use std::{
@@ -22,6 +22,11 @@ use volant_msgs::{
 
 /// Limit of waiting images, decoded or not; bounds the memory.
 const AHEAD: usize = 16;
+
+/// Usual number of threads that decode images: one per core.
+pub fn decoding_threads() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}
 
 /// Topic with images.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -68,18 +73,21 @@ pub enum Fed {
     /// A message other than an image.
     Message(BagMessage),
     /// An image with its stamp, or why it is unusable.
-    Image(Result<(Stamp, OwnedImage), String>),
+    Image(Decoded),
 }
+
+/// A decoded image with its stamp, or why it is unusable.
+pub type Decoded = Result<(Stamp, OwnedImage), String>;
 
 enum Slot {
     Message(BagMessage),
-    Image(Receiver<Result<(Stamp, OwnedImage), String>>),
+    Image(Receiver<Decoded>),
     Failed(BagError),
 }
 
 struct Job {
     data: Vec<u8>,
-    done: SyncSender<Result<(Stamp, OwnedImage), String>>,
+    done: SyncSender<Decoded>,
 }
 
 /// Reader of a bag that reads ahead.
@@ -210,19 +218,15 @@ fn decode_all(jobs: &Mutex<Receiver<Job>>, compressed: bool) {
     }
 }
 
-fn compressed_image(data: &[u8]) -> Result<(Stamp, OwnedImage), String> {
+fn compressed_image(data: &[u8]) -> Decoded {
     let message: CompressedImage = cdr::from_bytes(data).map_err(|e| e.to_string())?;
     let image = decode_compressed(&message.format, &message.data).map_err(|e| e.to_string())?;
     Ok((node_kit::convert::stamp(&message.header.stamp), image))
 }
 
-fn raw_image(data: &[u8]) -> Result<(Stamp, OwnedImage), String> {
+fn raw_image(data: &[u8]) -> Decoded {
     let message: Image = cdr::from_bytes(data).map_err(|e| e.to_string())?;
     let at = node_kit::convert::stamp(&message.header.stamp);
-    own_image(message, at).map(|image| (at, image)).map_err(|e| e.to_string())
-}
-
-fn own_image(message: Image, at: Stamp) -> Result<OwnedImage, ImageError> {
     let mut scratch = OwnedImage::default();
     let view = from_encoding(
         at,
@@ -233,9 +237,10 @@ fn own_image(message: Image, at: Stamp) -> Result<OwnedImage, ImageError> {
         message.step as usize,
         &message.data,
         &mut scratch,
-    )?;
+    )
+    .map_err(|e| e.to_string())?;
     let (width, height, step, format) = (view.width, view.height, view.step, view.format);
     let converted = view.data.as_ptr() != message.data.as_ptr();
     let data = if converted { scratch.data } else { message.data };
-    Ok(OwnedImage { width, height, step, format, data })
+    Ok((at, OwnedImage { width, height, step, format, data }))
 }

@@ -1,23 +1,24 @@
 //! Replay of a bag through the nodes' cores: deterministic, and as fast as possible. A bag and the
 //! rig file are read, and a bag with what the nodes would have published is written, each message
 //! logged at its stamp. One thread reads, some decode images (`feed`), and this thread drives the
-//! cores in the bag's order (`pipeline`): the result does not depend on the threads.
+//! cores in the bag's order (`front_end`, `pipeline`): the result does not depend on the threads.
 
 mod feed;
+mod front_end;
 mod output;
 mod pipeline;
 mod topic_names;
 
-pub use feed::{Fed, Feed, ImageTopic};
+pub use feed::{Fed, Feed, ImageTopic, decoding_threads};
+pub(crate) use front_end::{FrontEnd, Roles};
 pub use pipeline::Counts;
-pub(crate) use pipeline::{decode, kind_of};
 pub use topic_names::{Remap, TopicNames};
 
 use crate::stopwatch::Stopwatch;
 use anyhow::{anyhow, bail};
-use bag::{BagError, BagMessage, BagReader, BagSummary, Compression, WriteOptions};
+use bag::{BagReader, BagSummary, Compression, WriteOptions};
 use climber_driver::{Climber, ClimberConfig};
-use marker_tracker::{Tracker, TrackerConfig};
+use marker_tracker::TrackerConfig;
 use output::OutputBag;
 use pipeline::Pipeline;
 use pose_fusion::{Fusion, FusionConfig};
@@ -26,7 +27,7 @@ use std::{
     path::{Path, PathBuf},
     time::Duration,
 };
-use volant_msgs::{Message, geometry_msgs, msg, sensor_msgs, tf2_msgs};
+use volant_msgs::{Message, geometry_msgs, msg, sensor_msgs};
 
 /// Options of a replay.
 #[derive(Clone, Debug)]
@@ -83,18 +84,14 @@ pub fn replay(
     let (input, output) = (&options.input, &options.output);
     node_kit::files::check_output(output, options.overwrite, &[input])?;
     let summary = BagReader::summary(input)?;
-    let plan = Plan::new(input, &summary, &options.names)?;
-    let climber = if plan.has_transforms {
-        None
-    } else {
+    let roles = roles(input, &summary, &options.names)?;
+    let climber = roles.joints.as_ref().map(|topic| {
         let config = options.climber.clone();
         let climber = config.and_then(|c| Climber::new(c).map_err(|e| e.to_string()));
-        let failed = |reason: String| {
-            let (path, topic) = (input.display(), &plan.climber);
-            anyhow!("{path}: {topic} is converted by climber_driver: {reason}")
-        };
-        Some(climber.map_err(failed)?)
-    };
+        let path = input.display();
+        climber.map_err(|e| anyhow!("{path}: {topic} is converted by climber_driver: {e}"))
+    });
+    let climber = climber.transpose()?;
     let (start, end) = summary.span.unwrap_or_default();
     let first = Stamp::from_nanos(i64::try_from(start).unwrap_or(0));
     let write = WriteOptions {
@@ -104,24 +101,20 @@ pub fn replay(
     };
     let out =
         OutputBag::create(output, write, &options.names, &options.rig, first, options.smooth)?;
-    let tracker = Tracker::new(options.rig.markers.clone(), options.tracker.clone());
     let mut fusion = Fusion::new(options.rig.clone(), options.fusion.clone());
     if options.smooth {
         fusion.keep_for_smoothing();
     }
-    let mut pipeline = Pipeline::new(options.rig.clone(), tracker, fusion, out, options.smooth);
-    pipeline.climber = climber;
-    let mut feed = Feed::start(input, plan.images.clone(), plan.wanted(), options.workers)?;
+    let mut feed = Feed::start(input, roles.images.clone(), roles.messages(), options.workers)?;
+    let front_end = FrontEnd::new(&options.rig, roles, &options.tracker, climber);
+    let frames = options.rig.frames.clone();
+    let mut pipeline = Pipeline::new(frames, front_end, fusion, out, options.smooth);
     while let Some(fed) = feed.take()? {
-        match fed {
-            Fed::Message(message) => plan.hand_over(&message, &mut pipeline)?,
-            Fed::Image(Ok((stamp, image))) => pipeline.image(stamp, &image)?,
-            Fed::Image(Err(reason)) => pipeline.bad_image(&reason),
-        }
+        pipeline.handle(fed)?;
         progress(feed.bytes_read());
     }
     let losses = feed.losses();
-    if pipeline.counts.odometry == 0 {
+    if pipeline.counts().odometry == 0 {
         let why = why_silent(&pipeline, &losses);
         bail!("{}: the filter never started: {why}", input.display());
     }
@@ -134,7 +127,7 @@ pub fn replay(
 }
 
 fn why_silent(pipeline: &Pipeline, losses: &[String]) -> String {
-    let (counts, missing) = (&pipeline.counts, pipeline.missing());
+    let (counts, missing) = (pipeline.counts(), pipeline.missing());
     if let Some((count, sentence)) = pipeline.rejected_input() {
         let times = if *count > 1 { format!(" ({count} times)") } else { String::new() };
         return format!("{sentence}{times}");
@@ -180,70 +173,34 @@ fn first_of(
     bail!("{shown}: no message on {topics}; {remedy}")
 }
 
-/// Names of the bag's topics.
-struct Plan {
-    images: Option<ImageTopic>,
-    markers: Option<String>,
-    imu: String,
-    /// Transforms, or the encoder readings where there are none.
-    climber: String,
-    has_transforms: bool,
-    camera: String,
-    tf_static: String,
-}
-
-impl Plan {
-    fn new(path: &Path, bag: &BagSummary, names: &TopicNames) -> anyhow::Result<Self> {
-        let need = |wanted: &[_]| first_of(path, bag, names, wanted);
-        let (kind, observed) = need(&[
-            (topics::IMAGE, sensor_msgs::msg::Image::TYPE_NAME),
-            (topics::COMPRESSED_IMAGE, sensor_msgs::msg::CompressedImage::TYPE_NAME),
-            (topics::MARKERS, msg::MarkerObservations::TYPE_NAME),
-        ])?;
-        let (images, markers) = match kind {
-            0 => (Some(ImageTopic::Raw(observed)), None),
-            1 => (Some(ImageTopic::Compressed(observed)), None),
-            _ => (None, Some(observed)),
-        };
-        let (_, imu) = need(&[(topics::IMU, sensor_msgs::msg::Imu::TYPE_NAME)])?;
-        let (kind, climber) = need(&[
-            (topics::CLIMBER_TRANSFORM, geometry_msgs::msg::TransformStamped::TYPE_NAME),
-            (topics::JOINT_STATES, sensor_msgs::msg::JointState::TYPE_NAME),
-        ])?;
-        let has_transforms = kind == 0;
-        let (_, camera) = need(&[(topics::CAMERA_INFO, sensor_msgs::msg::CameraInfo::TYPE_NAME)])?;
-        let tf_static = names.resolve(topics::absolute::TF_STATIC);
-        Ok(Self { images, markers, imu, climber, has_transforms, camera, tf_static })
+/// Chooses the topics that a replay reads.
+///
+/// # Errors
+/// A required topic has no message, or another type.
+fn roles(path: &Path, bag: &BagSummary, names: &TopicNames) -> anyhow::Result<Roles> {
+    let need = |wanted: &[_]| first_of(path, bag, names, wanted);
+    let mut roles = Roles::default();
+    let (kind, observed) = need(&[
+        (topics::IMAGE, sensor_msgs::msg::Image::TYPE_NAME),
+        (topics::COMPRESSED_IMAGE, sensor_msgs::msg::CompressedImage::TYPE_NAME),
+        (topics::MARKERS, msg::MarkerObservations::TYPE_NAME),
+    ])?;
+    match kind {
+        0 => roles.images = Some(ImageTopic::Raw(observed)),
+        1 => roles.images = Some(ImageTopic::Compressed(observed)),
+        _ => roles.markers = Some(observed),
     }
-
-    fn wanted(&self) -> Vec<String> {
-        let always = [&self.imu, &self.climber, &self.camera, &self.tf_static];
-        always.into_iter().chain(&self.markers).cloned().collect()
+    roles.imu = Some(need(&[(topics::IMU, sensor_msgs::msg::Imu::TYPE_NAME)])?.1);
+    let (kind, climber) = need(&[
+        (topics::CLIMBER_TRANSFORM, geometry_msgs::msg::TransformStamped::TYPE_NAME),
+        (topics::JOINT_STATES, sensor_msgs::msg::JointState::TYPE_NAME),
+    ])?;
+    match kind {
+        0 => roles.transforms = Some(climber),
+        _ => roles.joints = Some(climber),
     }
-
-    fn hand_over(&self, message: &BagMessage, to: &mut Pipeline) -> Result<(), BagError> {
-        fn read<M: Message>(message: &BagMessage, to: &mut Pipeline) -> Option<M> {
-            decode(message, &mut to.counts)
-        }
-        let topic = &message.topic.name;
-        if *topic == self.imu {
-            read(message, to).map_or(Ok(()), |m| to.imu(&m))
-        } else if *topic == self.climber && self.has_transforms {
-            read(message, to).map_or(Ok(()), |m| to.climber(&m))
-        } else if *topic == self.climber {
-            let at = Stamp::from_nanos(i64::try_from(message.log_time).unwrap_or(0));
-            read(message, to).map_or(Ok(()), |m| to.joints(m, at))
-        } else if *topic == self.camera {
-            read(message, to).map_or(Ok(()), |m| to.camera(&m))
-        } else if Some(topic) == self.markers.as_ref() {
-            read(message, to).map_or(Ok(()), |m| to.markers(&m))
-        } else if *topic == self.tf_static {
-            if let Some(m) = read::<tf2_msgs::msg::TFMessage>(message, to) {
-                to.tf_static(&m);
-            }
-            Ok(())
-        } else {
-            Ok(())
-        }
-    }
+    let camera_info = (topics::CAMERA_INFO, sensor_msgs::msg::CameraInfo::TYPE_NAME);
+    roles.camera = Some(need(&[camera_info])?.1);
+    roles.tf_static = Some(names.resolve(topics::absolute::TF_STATIC));
+    Ok(roles)
 }

@@ -112,10 +112,10 @@ pub fn panels(sheet: Sheet<'_>, panels: &[Panel]) -> Result<String, ChartError> 
     {
         let root = SVGBackend::with_string(&mut svg, sheet.size).into_drawing_area();
         root.fill(&colors::BACK)?;
-        let mut names: Vec<Entry<'_>> = Vec::new();
+        let mut names: Vec<&Series> = Vec::new();
         for series in panels.iter().flat_map(|p| &p.series) {
             if !series.name.is_empty() && !names.iter().any(|e| e.name == series.name) {
-                names.push(Entry { name: &series.name, color: series.color, shape: series.shape });
+                names.push(series);
             }
         }
         let body = headed(&root, sheet.title, &names)?;
@@ -127,15 +127,8 @@ pub fn panels(sheet: Sheet<'_>, panels: &[Panel]) -> Result<String, ChartError> 
     Ok(finished(&svg, sheet.title))
 }
 
-/// Entry of the legend.
-struct Entry<'a> {
-    name: &'a str,
-    color: RGBColor,
-    shape: Shape,
-}
-
 /// Draws title and legend, in the lines they need; returns the area below.
-fn headed<'a>(root: &Area<'a>, title: &str, entries: &[Entry<'_>]) -> Result<Area<'a>, ChartError> {
+fn headed<'a>(root: &Area<'a>, title: &str, entries: &[&Series]) -> Result<Area<'a>, ChartError> {
     const LINE: i32 = 26;
     let width = root.dim_in_pixel().0 as i32;
     // A generous mean width of the letters keeps entries apart in any font.
@@ -143,11 +136,11 @@ fn headed<'a>(root: &Area<'a>, title: &str, entries: &[Entry<'_>]) -> Result<Are
     let (mut x, mut row) = (28, 0);
     let mut places = Vec::new();
     for entry in entries {
-        if x > 28 && x + advance(entry.name) > width - 10 {
+        if x > 28 && x + advance(&entry.name) > width - 10 {
             (x, row) = (28, row + 1);
         }
         places.push((x, row));
-        x += advance(entry.name);
+        x += advance(&entry.name);
     }
     let rows = if entries.is_empty() { 0 } else { row + 1 };
     let (head, body) = root.split_vertically(44 + LINE * rows);
@@ -169,7 +162,7 @@ fn headed<'a>(root: &Area<'a>, title: &str, entries: &[Entry<'_>]) -> Result<Are
             head.draw(&Circle::new((x + 12, y), 4, entry.color.filled()))?;
         }
         let text = font(15.0).color(&colors::INK);
-        head.draw(&Text::new(entry.name.to_owned(), (x + 32, y - 8), text))?;
+        head.draw(&Text::new(entry.name.clone(), (x + 32, y - 8), text))?;
     }
     Ok(body)
 }
@@ -252,7 +245,6 @@ where
                 chart.draw_series(LineSeries::new(points, series.color.stroke_width(width)))?;
             }
         }
-        let finite = || points.iter().filter(|p| p.1.is_finite());
         if let Shape::Whiskers(_) = series.shape {
             for (p, s) in series.points.iter().zip(&series.spread).filter(|(p, _)| p.1.is_finite())
             {
@@ -260,19 +252,15 @@ where
                 chart.draw_series([PathElement::new(ends, series.color.stroke_width(1))])?;
             }
         }
-        match series.shape {
-            Shape::Line(_) | Shape::Spans => {}
-            Shape::Dots => {
-                chart.draw_series(
-                    finite().map(|p| Circle::new((p.0, clip(p.1)), 2, series.color.filled())),
-                )?;
-            }
-            Shape::Dotted | Shape::Whiskers(_) => {
-                chart.draw_series(
-                    finite().map(|p| Circle::new((p.0, clip(p.1)), 4, series.color.filled())),
-                )?;
-            }
-        }
+        let radius = match series.shape {
+            Shape::Line(_) | Shape::Spans => continue,
+            Shape::Dots => 2,
+            Shape::Dotted | Shape::Whiskers(_) => 4,
+        };
+        let finite = points.iter().filter(|p| p.1.is_finite());
+        chart.draw_series(
+            finite.map(|p| Circle::new((p.0, clip(p.1)), radius, series.color.filled())),
+        )?;
     }
     Ok(())
 }

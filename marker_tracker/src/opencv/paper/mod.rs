@@ -20,7 +20,7 @@ use flow::{FrameFlow, Motions, region_flow};
 use nalgebra::Vector2;
 use occlusion::{Place, Sighting};
 use opencv::{
-    core::{self, Mat, Rect},
+    core::{self, Mat},
     prelude::*,
 };
 use rig_model::{MarkerColor, MarkerObservation, MarkerObservations, PerColor};
@@ -74,14 +74,13 @@ impl PaperTracker {
         if self.previous.as_ref().is_some_and(|p| p.gray.size().ok() != gray.size().ok()) {
             self.previous = None;
         }
-        let own = self.own_flows(&binary)?;
-        let scene = Scene {
-            motions: self.motions(&gray, &own)?,
-            pixels: &pixels,
-            binary: &binary,
-            previous: self.previous.as_ref().filter(|_| self.config.use_flow),
-            config: &self.config,
+        let previous = self.previous.as_ref().filter(|_| self.config.use_flow);
+        let (own, motions) = match previous {
+            Some(previous) => self.flows(previous, &gray, &binary)?,
+            None => Default::default(),
         };
+        let (pixels, config) = (&pixels, &self.config);
+        let scene = Scene { pixels, binary: &binary, previous, motions, config };
         let before = PerColor::from_fn(|c| self.markers[c].region.as_ref().map(|r| r.area));
         let mut sightings = PerColor::default();
         for color in MarkerColor::ALL {
@@ -113,36 +112,32 @@ impl PaperTracker {
         }
     }
 
-    /// Flow of each marker that was visible in the previous image (eq. 1), px.
-    fn own_flows(&self, binary: &PerColor<Mat>) -> opencv::Result<PerColor<Option<Vector2<f64>>>> {
-        let mut flows = PerColor::default();
-        let Some(previous) = self.previous.as_ref().filter(|_| self.config.use_flow) else {
-            return Ok(flows);
-        };
-        for color in MarkerColor::ALL {
-            if let Some(region) = &self.markers[color].region {
-                flows[color] = region_flow(&previous.binary[color], &binary[color], region)?;
+    /// Flow of each marker that was visible in the previous image (eq. 1), px, and the motions that
+    /// flows are compared with.
+    fn flows(
+        &self,
+        previous: &Previous,
+        gray: &Mat,
+        binary: &PerColor<Mat>,
+    ) -> opencv::Result<(PerColor<Option<Vector2<f64>>>, Motions)> {
+        let mut own = PerColor::default();
+        let mut boxes = Vec::new();
+        for (color, marker) in self.markers.iter() {
+            if let Some(region) = &marker.region {
+                own[color] = region_flow(&previous.binary[color], &binary[color], region)?;
+                boxes.push(region.bounds);
             }
         }
-        Ok(flows)
-    }
-
-    /// The motions that flows are compared with.
-    fn motions(&self, gray: &Mat, own: &PerColor<Option<Vector2<f64>>>) -> opencv::Result<Motions> {
-        let Some(previous) = self.previous.as_ref().filter(|_| self.config.use_flow) else {
-            return Ok(Motions::default());
-        };
-        let regions = || self.markers.0.iter().filter_map(|m| m.region.as_ref());
-        let boxes: Vec<Rect> = regions().map(|r| r.bounds).collect();
         let flows: Vec<Vector2<f64>> = own.0.iter().flatten().copied().collect();
-        Ok(Motions::new(FrameFlow::between(&previous.gray, gray, &boxes)?, &flows))
+        let frame = FrameFlow::between(&previous.gray, gray, &boxes)?;
+        Ok((own, Motions::new(frame, &flows)))
     }
 }
 
 impl Engine for PaperTracker {
-    fn process(&mut self, image: &image::Pixels<'_>) -> Result<MarkerObservations, String> {
+    fn process(&mut self, image: &image::Pixels<'_>) -> Result<Option<MarkerObservations>, String> {
         let markers = self.track(image).map_err(|e| e.to_string())?;
-        Ok(MarkerObservations { stamp: image.stamp, markers })
+        Ok(Some(MarkerObservations { stamp: image.stamp, markers }))
     }
 
     fn set_config(&mut self, config: TrackerConfig) {

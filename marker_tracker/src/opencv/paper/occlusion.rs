@@ -1,6 +1,7 @@
 //! Occlusion (paper, II-D): a hidden marker moves with the visible ones, and the observations.
 
-use nalgebra::{Matrix2, Vector2};
+use crate::geometry::isotropic;
+use nalgebra::Vector2;
 use rig_model::{MarkerObservation, MarkerState, PerColor};
 
 /// Standard deviation of a whole marker's centroid, per axis, px. On the recorded bags the RMS is
@@ -45,13 +46,6 @@ impl Sighting {
     }
 }
 
-/// Mean flow of the visible markers, px; `None` without any.
-pub(super) fn mean_flow(sightings: &PerColor<Option<Sighting>>) -> Option<Vector2<f64>> {
-    let flows = || sightings.0.iter().flatten().filter_map(|s| s.flow);
-    let count = flows().count();
-    (count > 0).then(|| flows().sum::<Vector2<f64>>() / count as f64)
-}
-
 /// Moves the places to the current image and returns the observations.
 ///
 /// A visible marker is where it was measured; a hidden one moves by the mean flow of the visible
@@ -62,7 +56,8 @@ pub(super) fn observe(
     sightings: &PerColor<Option<Sighting>>,
     max_predicted: u16,
 ) -> PerColor<MarkerObservation> {
-    let mean = mean_flow(sightings).unwrap_or_default();
+    let flows = || sightings.0.iter().flatten().filter_map(|s| s.flow);
+    let mean = flows().sum::<Vector2<f64>>() / flows().count().max(1) as f64;
     let hidden = sightings.0.iter().filter(|s| s.is_none()).count();
     let mut observations = PerColor([MarkerObservation::lost(MarkerObservation::NEVER); 4]);
     for ((place, sighting), observation) in
@@ -102,9 +97,4 @@ pub(super) fn observe(
         };
     }
     observations
-}
-
-/// Covariance of two independent coordinates with standard deviation `sigma`, px².
-fn isotropic(sigma: f64) -> Matrix2<f64> {
-    Matrix2::identity() * (sigma * sigma)
 }

@@ -103,8 +103,7 @@ impl Marker {
             || place.occluded.is_some_and(|n| n > memory)
         {
             (place.centroid, own) = (None, None);
-            (self.area, self.with_frame, self.moved) = (None, 0, 0);
-            self.hue = HueModel::named(color, scene.config.start_colors[color]);
+            *self = Self::new(color, scene.config);
         }
         let bounds = scene.pixels.bounds();
         let expected = own.unwrap_or(scene.motions.mean);

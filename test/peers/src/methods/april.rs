@@ -1,7 +1,7 @@
 //! AprilTag 3 (Debian's libapriltag), tag36h11, one thread.
 
 use super::{
-    Carrier, Estimate, Method,
+    About, Carrier, Estimate, Method,
     pose::{camera_matrix, point2, solve_pnp},
 };
 use crate::clock::Clock;
@@ -9,7 +9,7 @@ use crate::scene::{Frame, Pinhole};
 use anyhow::{Result, ensure};
 use nalgebra::Vector2;
 use opencv::{calib3d::SolvePnPMethod, core};
-use std::ffi::c_void;
+use std::{ffi::c_void, time::Duration};
 
 unsafe extern "C" {
     fn shim_apriltag_new(decimate: f32) -> *mut c_void;
@@ -66,6 +66,23 @@ pub fn tag_corners(footprint: f64) -> core::Vector<core::Point3d> {
         .collect()
 }
 
+/// Pose of a tag from the corners of its black square, px, which took the time `detected` to find.
+pub fn tag_pose(
+    matrix: &core::Mat,
+    object: &core::Vector<core::Point3d>,
+    corners: [Vector2<f64>; 4],
+    detected: Duration,
+) -> Result<Estimate> {
+    let image: core::Vector<core::Point2d> = corners.iter().map(point2).collect();
+    let start = Clock::start();
+    let pose = solve_pnp(matrix, object, &image, SolvePnPMethod::SOLVEPNP_IPPE, true)?;
+    Ok(Estimate {
+        camera_from_volant: pose,
+        points: corners.into_iter().enumerate().collect(),
+        stages: vec![detected, start.elapsed()],
+    })
+}
+
 impl Drop for AprilTag {
     fn drop(&mut self) {
         // SAFETY: made by shim_apriltag_new, freed once.
@@ -74,16 +91,8 @@ impl Drop for AprilTag {
 }
 
 impl Method for AprilTag {
-    fn name(&self) -> &'static str {
-        self.name
-    }
-
-    fn carrier(&self) -> Carrier {
-        Carrier::Tag
-    }
-
-    fn stages(&self) -> &'static [&'static str] {
-        &["detection", "extrinsics"]
+    fn about(&self) -> About {
+        About { name: self.name, carrier: Carrier::Tag, stages: &["detection", "extrinsics"] }
     }
 
     fn estimate(&mut self, frame: &Frame) -> Result<Estimate> {
@@ -111,16 +120,6 @@ impl Method for AprilTag {
         // corner is our first.
         let corner = |i: usize| Vector2::new(raw[2 * i] - 0.5, raw[2 * i + 1] - 0.5);
         let corners = [corner(3), corner(2), corner(1), corner(0)];
-        let image: core::Vector<core::Point2d> = corners.iter().map(point2).collect();
-        let start = Clock::start();
-        let pose =
-            solve_pnp(&self.matrix, &self.object, &image, SolvePnPMethod::SOLVEPNP_IPPE, true)?;
-        Ok(Estimate {
-            camera_from_volant: pose,
-            points: corners.into_iter().enumerate().collect(),
-            stages: vec![detected, start.elapsed()],
-        })
+        tag_pose(&self.matrix, &self.object, corners, detected)
     }
-
-    fn forget(&mut self) {}
 }

@@ -1,9 +1,9 @@
 //! ArUco as OpenCV has it, the 36h11 dictionary, corners refined to sub-pixels.
 
 use super::{
-    Carrier, Estimate, Method,
-    april::{TAG, tag_corners},
-    pose::{camera_matrix, point2, solve_pnp},
+    About, Carrier, Estimate, Method,
+    april::{TAG, tag_corners, tag_pose},
+    pose::camera_matrix,
 };
 use crate::clock::Clock;
 use crate::scene::{Frame, Pinhole};
@@ -11,7 +11,6 @@ use anyhow::Result;
 use nalgebra::Vector2;
 use opencv::{
     aruco,
-    calib3d::SolvePnPMethod,
     core::{self, Mat},
     prelude::*,
 };
@@ -41,16 +40,12 @@ impl Aruco {
 }
 
 impl Method for Aruco {
-    fn name(&self) -> &'static str {
-        "ArUco 36h11, sub-pixel corners"
-    }
-
-    fn carrier(&self) -> Carrier {
-        Carrier::Tag
-    }
-
-    fn stages(&self) -> &'static [&'static str] {
-        &["detection", "extrinsics"]
+    fn about(&self) -> About {
+        About {
+            name: "ArUco 36h11, sub-pixel corners",
+            carrier: Carrier::Tag,
+            stages: &["detection", "extrinsics"],
+        }
     }
 
     fn estimate(&mut self, frame: &Frame) -> Result<Estimate> {
@@ -80,16 +75,6 @@ impl Method for Aruco {
             .collect();
         // OpenCV's dictionary has the same codes turned by half a turn.
         let corners = [corners[2], corners[3], corners[0], corners[1]];
-        let image: core::Vector<core::Point2d> = corners.iter().map(point2).collect();
-        let start = Clock::start();
-        let pose =
-            solve_pnp(&self.matrix, &self.object, &image, SolvePnPMethod::SOLVEPNP_IPPE, true)?;
-        Ok(Estimate {
-            camera_from_volant: pose,
-            points: corners.into_iter().enumerate().collect(),
-            stages: vec![detected, start.elapsed()],
-        })
+        tag_pose(&self.matrix, &self.object, corners, detected)
     }
-
-    fn forget(&mut self) {}
 }

@@ -6,14 +6,14 @@ mod aruco;
 mod ours;
 mod pose;
 mod recipe;
-mod sift;
+pub mod sift;
 
 pub use april::{AprilTag, tag_frame};
 pub use aruco::Aruco;
 pub use ours::Ours;
 pub use pose::{camera_matrix, gauss_newton, point2, point3, pose_from_centroids, solve_pnp};
 pub use recipe::Recipe;
-pub use sift::{CELLS, Sift, texture};
+pub use sift::Sift;
 
 use crate::scene::Frame;
 use anyhow::Result;
@@ -38,18 +38,22 @@ pub struct Estimate {
     pub camera_from_volant: Option<Isometry3<f64>>,
     /// Measured points: number of the marker or corner, px.
     pub points: Vec<(usize, Vector2<f64>)>,
-    /// Time of each stage, in the order of [`Method::stages`].
+    /// Time of each stage, in the order of [`About::stages`].
     pub stages: Vec<Duration>,
+}
+
+pub struct About {
+    pub name: &'static str,
+    /// Plate that the method detects.
+    pub carrier: Carrier,
+    pub stages: &'static [&'static str],
 }
 
 /// A way to a pose.
 pub trait Method {
-    fn name(&self) -> &'static str;
-    /// Plate that it detects.
-    fn carrier(&self) -> Carrier;
-    fn stages(&self) -> &'static [&'static str];
+    fn about(&self) -> About;
     /// Processes the next frame. The conversion to gray for methods that need it is not counted.
     fn estimate(&mut self, frame: &Frame) -> Result<Estimate>;
-    /// Resets the tracking: the next frame is searched as a whole.
-    fn forget(&mut self);
+    /// Resets the tracking, where there is any: the next frame is searched as a whole.
+    fn forget(&mut self) {}
 }

@@ -1,7 +1,7 @@
 //! The project's own tracker, as a node drives it, and the pose by Gauss–Newton from the previous
 //! one.
 
-use super::{Carrier, Estimate, Method, gauss_newton, pose_from_centroids};
+use super::{About, Carrier, Estimate, Method, gauss_newton, pose_from_centroids};
 use crate::clock::Clock;
 use crate::scene::{Frame, Pinhole};
 use anyhow::Result;
@@ -41,7 +41,6 @@ impl Ours {
         let prior = self.pose.as_ref();
         prior
             .and_then(|prior| gauss_newton(layout, camera, observed, prior))
-            .map(|p| p.0)
             .or_else(|| pose_from_centroids(layout, camera, observed))
     }
 
@@ -71,16 +70,12 @@ impl Ours {
 }
 
 impl Method for Ours {
-    fn name(&self) -> &'static str {
-        "volant: all criteria, and pose"
-    }
-
-    fn carrier(&self) -> Carrier {
-        Carrier::Markers
-    }
-
-    fn stages(&self) -> &'static [&'static str] {
-        &["tracker", "extrinsics"]
+    fn about(&self) -> About {
+        About {
+            name: "volant: all criteria, and pose",
+            carrier: Carrier::Markers,
+            stages: &["tracker", "extrinsics"],
+        }
     }
 
     fn estimate(&mut self, frame: &Frame) -> Result<Estimate> {

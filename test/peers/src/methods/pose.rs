@@ -61,19 +61,16 @@ pub fn point2(p: &Vector2<f64>) -> core::Point2d {
 }
 
 /// Gauss–Newton on the centroids of the projected squares, weighted by their covariances, from a
-/// prior pose. Returns the pose and the weighted sum of squares; `None` with less than three
-/// markers or without a solution.
+/// prior pose; `None` with less than three markers or without a solution.
 pub fn gauss_newton(
     layout: &MarkerLayout,
     camera: &CameraModel,
     observed: &MarkerObservations,
     prior: &Isometry3<f64>,
-) -> Option<(Isometry3<f64>, f64)> {
+) -> Option<Isometry3<f64>> {
     let mut pose = *prior;
-    let mut last = f64::MAX;
     for _ in 0..12 {
-        let (mut normal, mut right, mut cost, mut used) =
-            (Matrix6::zeros(), Vector6::zeros(), 0.0, 0);
+        let (mut normal, mut right, mut used) = (Matrix6::zeros(), Vector6::zeros(), 0);
         for (color, marker) in observed.markers.iter() {
             if marker.state != MarkerState::Detected {
                 continue;
@@ -89,7 +86,6 @@ pub fn gauss_newton(
             let weighted = jacobian.transpose() * weight;
             normal += weighted * jacobian;
             right += weighted * residual;
-            cost += residual.dot(&(weight * residual));
             used += 1;
         }
         if used < 3 {
@@ -101,11 +97,10 @@ pub fn gauss_newton(
             UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(3).into_owned()) * pose.rotation;
         // In units of the weighted squares; the next step would gain far less than this one did.
         if step.dot(&right) < 1e-4 {
-            return (pose.translation.vector.z > 0.05).then_some((pose, cost));
+            break;
         }
-        last = cost;
     }
-    (pose.translation.vector.z > 0.05).then_some((pose, last))
+    (pose.translation.vector.z > 0.05).then_some(pose)
 }
 
 /// The pose without a prior: the best of the planar solutions.

@@ -2,7 +2,7 @@
 //! I.
 
 use super::{
-    Carrier, Estimate, Method,
+    About, Carrier, Estimate, Method,
     pose::{camera_matrix, point2, point3, solve_pnp},
 };
 use crate::clock::Clock;
@@ -177,16 +177,12 @@ impl Recipe {
 }
 
 impl Method for Recipe {
-    fn name(&self) -> &'static str {
-        "the paper's recipe, plain OpenCV"
-    }
-
-    fn carrier(&self) -> Carrier {
-        Carrier::Markers
-    }
-
-    fn stages(&self) -> &'static [&'static str] {
-        &["optical flow", "tracking", "feature extraction", "extrinsics"]
+    fn about(&self) -> About {
+        About {
+            name: "the paper's recipe, plain OpenCV",
+            carrier: Carrier::Markers,
+            stages: &["optical flow", "tracking", "feature extraction", "extrinsics"],
+        }
     }
 
     fn estimate(&mut self, frame: &Frame) -> Result<Estimate> {

@@ -1,7 +1,7 @@
 //! SIFT with RANSAC on a textured plate.
 
 use super::{
-    Carrier, Estimate, Method,
+    About, Carrier, Estimate, Method,
     pose::{camera_matrix, solve_pnp},
 };
 use crate::clock::Clock;
@@ -76,16 +76,12 @@ impl Sift {
 }
 
 impl Method for Sift {
-    fn name(&self) -> &'static str {
-        "SIFT + RANSAC"
-    }
-
-    fn carrier(&self) -> Carrier {
-        Carrier::Texture
-    }
-
-    fn stages(&self) -> &'static [&'static str] {
-        &["features", "matching", "extrinsics"]
+    fn about(&self) -> About {
+        About {
+            name: "SIFT + RANSAC",
+            carrier: Carrier::Texture,
+            stages: &["features", "matching", "extrinsics"],
+        }
     }
 
     fn estimate(&mut self, frame: &Frame) -> Result<Estimate> {
@@ -142,6 +138,4 @@ impl Method for Sift {
             stages: vec![features, matching, start.elapsed()],
         })
     }
-
-    fn forget(&mut self) {}
 }

@@ -3,19 +3,20 @@
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
-use node_kit::{files, outln};
+use node_kit::outln;
 use std::{
     fmt::Write,
-    fs,
     path::{Path, PathBuf},
 };
 use volant_test::{
     check::{Bench, FAULTS},
-    report::measured_with,
+    report::TableFile,
+    robustness::recording,
 };
 
 /// Make the files and messages of recordings wrong in one thing, and check them.
 #[derive(Args)]
+#[command(mut_arg("overwrite", |a| a.help("Replace an existing table; never a recording")))]
 pub(crate) struct Arguments {
     /// Folder of recordings, each a folder with in.mcap, rig.yaml, truth.mcap and truth_markers.csv
     #[arg(long)]
@@ -32,22 +33,16 @@ pub(crate) struct Arguments {
     /// Also print the findings' sentences
     #[arg(long)]
     verbose: bool,
-    /// Also write the table, as Markdown, to this file
-    #[arg(long)]
-    table: Option<PathBuf>,
-    /// Replace an existing table; never a recording
-    #[arg(long)]
-    overwrite: bool,
+    #[command(flatten)]
+    table: TableFile,
 }
 
 /// Share of right cells that is asserted.
 const RIGHT: f64 = 0.95;
 
 pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
-    if let Some(path) = &arguments.table {
-        let inputs: Vec<&Path> = arguments.bags.iter().map(PathBuf::as_path).collect();
-        files::check_outputs(&[path], arguments.overwrite, &inputs)?;
-    }
+    let inputs: Vec<&Path> = arguments.bags.iter().map(PathBuf::as_path).collect();
+    arguments.table.check(&inputs)?;
     let faults = FAULTS.iter().filter(|f| f.name.contains(arguments.fault.as_str()));
     let faults: Vec<_> = faults.collect();
     ensure!(
@@ -55,17 +50,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
         "--fault {}: no fault has this in its name; test/CHECK.md lists them",
         arguments.fault
     );
-    let name = |p: &Path| p.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let mut benches = vec![];
     if let Some(bags) = &arguments.bags {
-        let entries = fs::read_dir(bags).with_context(|| format!("{}", bags.display()))?;
-        let mut folders: Vec<PathBuf> = entries
-            .filter_map(|e| Some(e.ok()?.path()))
-            .filter(|p| p.join("truth.mcap").is_file())
-            .filter(|p| name(p).contains(arguments.only.as_str()))
-            .collect();
-        folders.sort();
-        for folder in folders {
+        for folder in recording::folders(bags, &arguments.only)? {
             let bench = Bench::read(&folder);
             benches.push(bench.with_context(|| format!("{}", folder.display()))?);
         }
@@ -158,10 +145,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
     for alarm in &false_alarms {
         outln!("false alarm: {alarm}")?;
     }
-    if let Some(path) = &arguments.table {
-        let text = format!("{HEAD}{}{text}", measured_with());
-        files::write(path, text.as_bytes(), arguments.overwrite)?;
-    }
+    arguments.table.write(HEAD, &text)?;
     outln!("{text}")?;
     Ok(share >= RIGHT && false_alarms.is_empty() && alarms + unchanged_warned == 0)
 }

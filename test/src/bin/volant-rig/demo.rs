@@ -6,6 +6,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use node_kit::environment::Network;
 use node_kit::{files, outln};
 use rig_model::Stamp;
+use rig_simulator::parallel;
 use std::{path::PathBuf, sync::Arc};
 use volant::{
     command_line::number,
@@ -54,9 +55,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     let network = Network::from_environment()?;
     let _folder = RunFolder::create(&arguments.out)?;
 
-    let threads = std::thread::available_parallelism().map_or(1, |n| n.get().min(4));
     let shooting = bar(0, "rendering the camera");
-    let images = ImageSequence::render(&scenario, threads, |done, of| {
+    let images = ImageSequence::render(&scenario, parallel::processors().min(4), |done, of| {
         shooting.set_length(of as u64);
         shooting.set_position(done as u64);
     })?;

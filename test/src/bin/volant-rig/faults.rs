@@ -4,12 +4,12 @@
 use anyhow::{Result, ensure};
 use clap::Args;
 use node_kit::environment::Network;
-use node_kit::{errln, files, outln};
+use node_kit::{errln, outln};
 use std::{path::PathBuf, sync::Arc};
 use volant_test::{
-    faults::{LENGTH, Outcome, Verdict, markdown, table},
+    faults::{LENGTH, markdown, table},
     live::{ImageSequence, Scenario},
-    report::measured_with,
+    report::TableFile,
     run_folder::RunFolder,
 };
 
@@ -23,12 +23,8 @@ pub(crate) struct Arguments {
     /// is replaced
     #[arg(long, default_value = "target/faults")]
     out: PathBuf,
-    /// Also write the table, as Markdown, to this file
-    #[arg(long)]
-    table: Option<PathBuf>,
-    /// Replace an existing table
-    #[arg(long)]
-    overwrite: bool,
+    #[command(flatten)]
+    table: TableFile,
     /// Keep each row's run as a bag beside its logs
     #[arg(long)]
     bags: bool,
@@ -51,9 +47,7 @@ const HEAD: &str = "\
     the 0.9999 quantile of χ² with 3 degrees of freedom) in more than 2 % of the odometry.\n\n";
 
 pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
-    if let Some(path) = &arguments.table {
-        files::check_outputs(&[path], arguments.overwrite, &[])?;
-    }
+    arguments.table.check(&[])?;
     let only = arguments.only.as_deref().unwrap_or_default();
     let rows: Vec<_> = table().into_iter().filter(|row| row.fault.contains(only)).collect();
     ensure!(!rows.is_empty(), "--only {only}: no row has this in its fault; see test/FAULTS.md");
@@ -62,33 +56,29 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
     let folders = (1..=rows.len())
         .map(|i| RunFolder::create(&arguments.out.join(format!("{i:02}"))))
         .collect::<Result<Vec<_>, _>>()?;
-    let threads = std::thread::available_parallelism().map_or(1, |n| n.get().min(4));
     errln!("rendering the camera's images of {LENGTH} s for {} rows", rows.len());
-    let images = Arc::new(ImageSequence::render(&scenario, threads, |_, _| {})?);
+    let images = Arc::new(ImageSequence::of(&scenario)?);
     let network = Network { domain_id: arguments.domain, ..Network::from_environment()? };
-    let mut outcomes: Vec<(&'static str, Outcome)> = Vec::new();
-    for (i, row) in rows.iter().enumerate() {
-        let folder = folders[i].path();
+    let (mut outcomes, mut held) = (Vec::new(), 0);
+    for (i, (row, folder)) in rows.iter().zip(&folders).enumerate() {
+        let folder = folder.path();
         let bag = arguments.bags.then(|| folder.join("bag"));
-        let outcome = match row.run(&scenario, &images, &network, folder, bag.as_deref()) {
-            Ok(outcome) => outcome,
-            Err(error) => Outcome::skipped(error.to_string()),
-        };
-        let verdict = match &outcome.verdict {
-            Verdict::Holds => "holds".to_owned(),
-            Verdict::Fails(reasons) => format!("FAILS: {}", reasons.join("; ")),
-            Verdict::Skipped(reason) => format!("SKIPPED: {reason}"),
+        let outcome = row.run(&scenario, &images, &network, folder, bag.as_deref());
+        let outcome = outcome.map_err(|error| error.to_string());
+        let verdict = match &outcome {
+            Err(reason) => format!("SKIPPED: {reason}"),
+            Ok(o) if o.failures.is_empty() => {
+                held += 1;
+                "holds".to_owned()
+            }
+            Ok(o) => format!("FAILS: {}", o.failures.join("; ")),
         };
         errln!("[{:2}/{}] {}: {verdict}", i + 1, rows.len(), row.fault);
         outcomes.push((row.fault, outcome));
     }
     let text = markdown(&outcomes);
-    if let Some(path) = &arguments.table {
-        let page = format!("{HEAD}{}{text}", measured_with());
-        files::write(path, page.as_bytes(), arguments.overwrite)?;
-    }
+    arguments.table.write(HEAD, &text)?;
     outln!("{text}")?;
-    let held = outcomes.iter().filter(|(_, o)| o.verdict == Verdict::Holds).count();
-    outln!("{held} of {} rows hold", outcomes.len())?;
-    Ok(held == outcomes.len() && !outcomes.is_empty())
+    outln!("{held} of {} rows hold", rows.len())?;
+    Ok(held == rows.len())
 }

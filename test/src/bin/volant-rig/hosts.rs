@@ -4,14 +4,14 @@
 use anyhow::{Result, ensure};
 use clap::Args;
 use node_kit::environment::Network;
-use node_kit::{errln, files, outln};
+use node_kit::{errln, outln};
 use std::path::PathBuf;
 use volant_test::{
     hosts::{
         Hosts,
-        trial::{COMPARED, LENGTH, Place, Seen, Swing, markdown, trials},
+        trial::{COMPARED, LENGTH, Place, Swing, markdown, trials},
     },
-    report::measured_with,
+    report::TableFile,
     run_folder::RunFolder,
 };
 
@@ -26,12 +26,8 @@ pub(crate) struct Arguments {
     /// is replaced
     #[arg(long, default_value = "target/hosts")]
     out: PathBuf,
-    /// Also write the table, as Markdown, to this file
-    #[arg(long)]
-    table: Option<PathBuf>,
-    /// Replace an existing table
-    #[arg(long)]
-    overwrite: bool,
+    #[command(flatten)]
+    table: TableFile,
     /// Random seed
     #[arg(long, default_value_t = 5)]
     seed: u64,
@@ -55,9 +51,7 @@ const HEAD: &str = "\
     truth contradicts the covariance in more than 2 % of the odometry.\n\n";
 
 pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
-    if let Some(path) = &arguments.table {
-        files::check_outputs(&[path], arguments.overwrite, &[])?;
-    }
+    arguments.table.check(&[])?;
     let only = arguments.only.as_deref().unwrap_or_default();
     let all = trials();
     ensure!(
@@ -71,33 +65,30 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
         .map(|(i, _)| RunFolder::create(&arguments.out.join(format!("{:02}", i + 1))))
         .collect::<Result<Vec<_>, _>>()?;
     let hosts = Hosts::new(arguments.seed)?;
-    let threads = std::thread::available_parallelism().map_or(1, |n| n.get().min(4));
     errln!("drawing what {COMPARED} cameras see in {LENGTH} s");
     let swings = (0..COMPARED as u64)
-        .map(|i| Swing::new(arguments.seed.wrapping_add(i), threads))
+        .map(|i| Swing::new(arguments.seed.wrapping_add(i)))
         .collect::<Result<Vec<_>>>()?;
     let network = Network::from_environment()?;
-    let mut rows: Vec<(&'static str, Result<Seen, String>)> = Vec::new();
-    let mut clean = None;
+    let (mut rows, mut held, mut clean) = (Vec::new(), 0, None);
     for ((_, trial), folder) in trials.into_iter().zip(&folders) {
         let place = Place { hosts: &hosts, network: &network, folder: folder.path().to_owned() };
         let seen = trial.run(&swings, &place, clean).map_err(|error| error.to_string());
         clean = clean.or(seen.as_ref().ok().map(|s| s.position));
         let verdict = match &seen {
             Err(reason) => format!("SKIPPED: {reason}"),
-            Ok(s) if s.failures.is_empty() => format!("holds ({:.2} mm)", s.position),
+            Ok(s) if s.failures.is_empty() => {
+                held += 1;
+                format!("holds ({:.2} mm)", s.position)
+            }
             Ok(s) => format!("FAILS ({:.2} mm): {}", s.position, s.failures.join("; ")),
         };
         errln!("{}: {verdict}", trial.name);
         rows.push((trial.name, seen));
     }
     let text = markdown(&rows);
-    if let Some(path) = &arguments.table {
-        let page = format!("{HEAD}{}{text}", measured_with());
-        files::write(path, page.as_bytes(), arguments.overwrite)?;
-    }
+    arguments.table.write(HEAD, &text)?;
     outln!("{text}")?;
-    let held = rows.iter().filter(|(_, s)| s.as_ref().is_ok_and(|s| s.failures.is_empty())).count();
     outln!("{held} of {} rows hold", rows.len())?;
     Ok(held == rows.len())
 }

@@ -19,7 +19,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 use node_kit::console::{EXIT_STATUS, end_on_signals};
 use std::process::ExitCode;
 use volant::command_line;
-use volant_test::{hosts::sites::interrupt_all, live::processes, run_folder};
+use volant_test::{live::processes, run_folder};
 
 /// The simulated rig with the real nodes.
 #[derive(Parser)]
@@ -72,8 +72,7 @@ fn main() -> ExitCode {
         Err(status) => return status,
     };
     let end = || {
-        processes::kill_all();
-        interrupt_all();
+        processes::end_all();
         run_folder::write_lists();
     };
     if let Err(error) = end_on_signals("volant", end) {

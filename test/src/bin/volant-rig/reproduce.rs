@@ -7,6 +7,7 @@ use node_kit::{
     files::{self, Pending},
     outln,
 };
+use rig_simulator::parallel;
 use std::path::{Path, PathBuf};
 use volant::command_line::number;
 use volant_test::{
@@ -61,35 +62,19 @@ const BENCH: [&str; 2] = ["table-1", "fig-12"];
 const SWEEP: [&str; 1] = ["fig-11"];
 const BOARDS: [&str; 2] = ["fig-2", "fig-7"];
 
-/// A bar for each job, some of which run at the same time.
-struct Bars(MultiProgress);
-
-impl Bars {
-    /// Shows the bar of a job.
-    fn show(&self, what: &'static str) -> Bar {
-        let bar = self.0.add(ProgressBar::new(1000));
-        let style = ProgressStyle::with_template("{msg:<40} [{bar:34}] {percent:>3} % {elapsed}");
-        bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> "));
-        bar.set_message(what);
-        bar.enable_steady_tick(std::time::Duration::from_millis(250));
-        Bar(bar)
-    }
+/// Shows the bar of a job beside those of others; it disappears when it drops.
+fn show(bars: &MultiProgress, what: &'static str) -> ProgressBar {
+    let bar = bars.add(ProgressBar::new(1000));
+    let style = ProgressStyle::with_template("{msg:<40} [{bar:34}] {percent:>3} % {elapsed}");
+    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> "));
+    bar.set_message(what);
+    bar.enable_steady_tick(std::time::Duration::from_millis(250));
+    bar
 }
 
-/// The bar of a job; it disappears when this drops.
-struct Bar(ProgressBar);
-
-impl Bar {
-    /// Shows the share that is done.
-    fn report(&self, share: f64) {
-        self.0.set_position((1000.0 * share) as u64);
-    }
-}
-
-impl Drop for Bar {
-    fn drop(&mut self) {
-        self.0.finish_and_clear();
-    }
+/// Shows the share that is done.
+fn set_share(bar: &ProgressBar, share: f64) {
+    bar.set_position((1000.0 * share) as u64);
 }
 
 /// What came of all jobs.
@@ -125,14 +110,14 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     std::fs::create_dir(&work.temporary).with_context(creating)?;
     let out = &work.temporary;
     let any = |names: &[&str]| names.iter().any(|n| wanted(n));
-    let bars = Bars(MultiProgress::new());
+    let bars = MultiProgress::new();
     let peers = peers::find_peers(&executables());
-    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    let cores = parallel::processors();
     let run_peers = |results: &mut Results, names: &[&'static str], command, what| -> bool {
         if !any(names) {
             return false;
         }
-        let bar = bars.show(what);
+        let bar = show(&bars, what);
         let done = match &peers {
             None => Err(format!(
                 "it compares with peers and needs {}, which is not built; `make reproduce` \
@@ -140,7 +125,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
                 peers::PEERS
             )),
             Some(program) => {
-                peers::run(program, command, out, arguments.seed, |share| bar.report(share))
+                peers::run(program, command, out, arguments.seed, |share| set_share(&bar, share))
             }
         };
         let Err(why) = done else { return true };
@@ -189,17 +174,17 @@ fn simulate(
     arguments: &Arguments,
     out: &Path,
     wanted: &dyn Fn(&str) -> bool,
-    bars: &Bars,
+    bars: &MultiProgress,
     threads: usize,
 ) -> Result<Results> {
     let seed = arguments.seed;
     let mut results = Results::default();
     if wanted("fig-9") {
-        let _bar = bars.show("a stationary IMU");
+        let _bar = show(bars, "a stationary IMU");
         results.take("fig-9", figure_9(seed, out));
     }
     if wanted("fig-4") || wanted("fig-5") {
-        let _bar = bars.show("the tracker's stages");
+        let _bar = show(bars, "the tracker's stages");
         let stages = Stages::of(seed, threads)?;
         if wanted("fig-4") {
             results.take("fig-4", stages.figure_4(out));
@@ -209,14 +194,14 @@ fn simulate(
         }
     }
     if wanted("fig-6") {
-        let bar = bars.show("an occluded marker");
-        results.take("fig-6", figure_6(seed, out, threads, |share| bar.report(0.9 * share)));
+        let bar = show(bars, "an occluded marker");
+        results.take("fig-6", figure_6(seed, out, threads, |share| set_share(&bar, 0.9 * share)));
     }
     if wanted("table-2") || wanted("fig-13") {
-        let bar = bars.show("all estimators in a swing");
+        let bar = show(bars, "all estimators in a swing");
         let scenario = Scenario::swing(seed, arguments.seconds)?;
         let images = ImageSequence::render(&scenario, threads, |done, of| {
-            bar.report(0.9 * done as f64 / of.max(1) as f64);
+            set_share(&bar, 0.9 * done as f64 / of.max(1) as f64);
         })?;
         let curves = Curves::of(&scenario, &images)?;
         if wanted("table-2") {
@@ -284,6 +269,5 @@ fn machine() -> String {
         .lines()
         .find_map(|l| l.strip_prefix("model name"))
         .map_or("a computer", |l| l.trim_start_matches([' ', '\t', ':']));
-    let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-    format!("{model}, {threads} hardware threads")
+    format!("{model}, {} hardware threads", parallel::processors())
 }

@@ -2,10 +2,10 @@
 //! in every pair of two. Exit status 0 when nothing catastrophic happens; what a perturbation may
 //! cost is in the table.
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use clap::Args;
 use indicatif::ProgressBar;
-use node_kit::{files, outln};
+use node_kit::outln;
 use pose_fusion::FusionConfig;
 use rig_simulator::parallel;
 use std::{
@@ -13,16 +13,17 @@ use std::{
     path::{Path, PathBuf},
 };
 use volant_test::{
-    report::measured_with,
+    report::{TableFile, measured_with},
     robustness::{
         perturbation::{Perturbation, TABLE},
-        recording::{PERTURBED_FROM, Recording},
+        recording::{PERTURBED_FROM, Recording, folders},
         table::{self, Bench},
     },
 };
 
 /// Change recordings in one thing, or in two, and compare the pose with the truth.
 #[derive(Args)]
+#[command(mut_arg("overwrite", |a| a.help("Replace an existing table; never a recording")))]
 pub(crate) struct Arguments {
     /// Folder of recordings, each a folder with in.mcap, rig.yaml, truth.mcap and truth_markers.csv
     #[arg(long)]
@@ -40,12 +41,8 @@ pub(crate) struct Arguments {
     /// Also every pair of perturbations
     #[arg(long)]
     pairs: bool,
-    /// Also write the table, as Markdown, to this file
-    #[arg(long)]
-    table: Option<PathBuf>,
-    /// Replace an existing table; never a recording
-    #[arg(long)]
-    overwrite: bool,
+    #[command(flatten)]
+    table: TableFile,
 }
 
 const HEAD: &str = "\
@@ -61,13 +58,11 @@ const HEAD: &str = "\
 const MEASURED: f64 = 4.0;
 
 pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
-    if let Some(path) = &arguments.table {
-        let recordings = fs::read_dir(&arguments.bags).into_iter().flatten().flatten();
-        let recordings: Vec<PathBuf> = recordings.map(|entry| entry.path()).collect();
-        let inputs: Vec<&Path> =
-            recordings.iter().chain(&arguments.markers).map(PathBuf::as_path).collect();
-        files::check_outputs(&[path], arguments.overwrite, &inputs)?;
-    }
+    let recordings = fs::read_dir(&arguments.bags).into_iter().flatten().flatten();
+    let recordings: Vec<PathBuf> = recordings.map(|entry| entry.path()).collect();
+    let inputs: Vec<&Path> =
+        recordings.iter().chain(&arguments.markers).map(PathBuf::as_path).collect();
+    arguments.table.check(&inputs)?;
     let benches = read(arguments)?;
     let bar = ProgressBar::new((TABLE.len() * benches.len()) as u64);
     let mut rows = Vec::new();
@@ -94,8 +89,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
     } else {
         format!("Perturbations of limited duration begin at {from} s (`--from {from}`).\n\n")
     };
-    let mut text =
-        format!("{HEAD}{}{beginning}{}", measured_with(), table::markdown(&benches, &rows));
+    let mut text = format!("{beginning}{}", table::markdown(&benches, &rows));
     if arguments.pairs {
         let pairs = table::pairs();
         catastrophes.extend(of_pairs(&benches, &pairs));
@@ -106,10 +100,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
             catastrophes.len()
         ));
     }
-    if let Some(path) = &arguments.table {
-        files::write(path, text.as_bytes(), arguments.overwrite)?;
-    }
-    outln!("{text}")?;
+    // Before the table is written, which changes the working tree.
+    let measured = measured_with();
+    arguments.table.write(HEAD, &text)?;
+    outln!("{HEAD}{measured}{text}")?;
     for catastrophe in &catastrophes {
         outln!("{catastrophe}")?;
     }
@@ -137,24 +131,16 @@ fn of_pairs(benches: &[Bench], pairs: &[(Perturbation, Perturbation)]) -> Vec<St
 }
 
 fn read(arguments: &Arguments) -> Result<Vec<Bench>> {
-    let bags = &arguments.bags;
-    let entries = fs::read_dir(bags).with_context(|| format!("{}", bags.display()))?;
-    let mut folders: Vec<PathBuf> =
-        entries.filter_map(|e| Some(e.ok()?.path())).filter(|p| has_truth(p)).collect();
-    folders.sort();
-    let wanted = |folder: &&PathBuf| {
-        let name = folder.file_name().map(|n| n.to_string_lossy());
-        arguments.only.as_ref().is_none_or(|text| name.is_some_and(|n| n.contains(text.as_str())))
-    };
+    let (bags, only) = (&arguments.bags, arguments.only.as_deref().unwrap_or_default());
     let mut benches = Vec::new();
-    for folder in folders.iter().filter(wanted) {
+    for folder in folders(bags, only)? {
         let replay =
             |markers: &PathBuf| Some(markers.join(folder.file_name()?).with_extension("mcap"));
         let markers = arguments.markers.as_ref().and_then(replay);
         if let Some(missing) = markers.as_ref().filter(|path| !path.is_file()) {
             bail!("--markers: {} is not there; replay the recording into it", missing.display());
         }
-        let mut recording = Recording::read(folder, markers.as_deref())
+        let mut recording = Recording::read(&folder, markers.as_deref())
             .map_err(|e| anyhow::anyhow!("{}: {e}", folder.display()))?;
         let end = recording.truth.span().map_or(0.0, |(first, last)| last.seconds_since(first));
         let latest = end - MEASURED;
@@ -170,12 +156,7 @@ fn read(arguments: &Arguments) -> Result<Vec<Bench>> {
         benches.push(Bench::new(recording, FusionConfig::default()));
     }
     if benches.is_empty() {
-        let only = arguments.only.as_deref().unwrap_or_default();
         bail!("{}: no folder `*{only}*` with in.mcap and truth.mcap in it", bags.display());
     }
     Ok(benches)
-}
-
-fn has_truth(folder: &Path) -> bool {
-    folder.join("in.mcap").is_file() && folder.join("truth.mcap").is_file()
 }

@@ -2,14 +2,14 @@
 
 use anyhow::{Result, ensure};
 use clap::Args;
-use node_kit::{errln, files, outln};
+use node_kit::{errln, outln};
 use std::path::PathBuf;
 use volant_test::{
     hosts::{
         Hosts,
         sites::{Trial, markdown, rows},
     },
-    report::measured_with,
+    report::TableFile,
     run_folder::RunFolder,
 };
 
@@ -29,12 +29,8 @@ pub(crate) struct Arguments {
     /// Folder for logs and bags: new, empty or of an earlier run, which is replaced
     #[arg(long, default_value = "target/sites")]
     out: PathBuf,
-    /// Also write the table, as Markdown, to this file
-    #[arg(long)]
-    table: Option<PathBuf>,
-    /// Replace an existing table
-    #[arg(long)]
-    overwrite: bool,
+    #[command(flatten)]
+    table: TableFile,
     /// Random seed
     #[arg(long, default_value_t = 5)]
     seed: u64,
@@ -50,9 +46,7 @@ const HEAD: &str = "\
     a restart; all processes share two processors. Bytes are those of all topics that cross.\n\n";
 
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
-    if let Some(path) = &arguments.table {
-        files::check_outputs(&[path], arguments.overwrite, &[])?;
-    }
+    arguments.table.check(&[])?;
     ensure!(
         arguments.bridge.is_file(),
         "{}: there is no bridge; build one with `make bridge`, or name Eclipse's with --bridge",
@@ -70,10 +64,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
         seed: arguments.seed,
     };
     let text = markdown(&trial.run()?);
-    if let Some(path) = &arguments.table {
-        let page = format!("{HEAD}{}{text}", measured_with());
-        files::write(path, page.as_bytes(), arguments.overwrite)?;
-    }
+    arguments.table.write(HEAD, &text)?;
     outln!("{text}")?;
     Ok(())
 }

@@ -38,9 +38,8 @@ pub(crate) struct Arguments {
 pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
     let _folder = RunFolder::create(&arguments.out)?;
     let scenario = Scenario::lap(arguments.seed, 20.0)?;
-    let threads = std::thread::available_parallelism().map_or(1, |n| n.get().min(4));
     errln!("rendering the camera's images of {} s", scenario.duration());
-    let images = Arc::new(ImageSequence::render(&scenario, threads, |_, _| {})?);
+    let images = Arc::new(ImageSequence::of(&scenario)?);
     let network = Network { domain_id: arguments.domain, ..Network::from_environment()? };
     let seconds = arguments.minutes * 60.0;
     let config =

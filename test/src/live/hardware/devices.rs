@@ -5,11 +5,11 @@ use crate::live::{
     messages::{compressed_image, joint_state},
     scenario::{EXPOSURE, IMAGE_RATE},
 };
-use imu_driver::simulated_imu::SimulatedSample;
+use imu_driver::simulated_imu::{SimulatedSample, Source, pty::now};
 use nalgebra::{UnitQuaternion, Vector3};
 use node_kit::convert;
 use rig_model::Stamp;
-use rig_simulator::{inertial::Sensors, random::Random};
+use rig_simulator::random::Random;
 use std::{
     sync::{Arc, atomic::Ordering},
     time::Duration,
@@ -23,46 +23,30 @@ fn emit(shared: &Shared, publishers: &Publishers, message: SensorMessage) {
     };
     for (delay, message) in messages {
         if delay.is_zero() {
-            publish(shared, publishers, message);
+            record(shared, &message);
+            publishers.publish(message);
             continue;
         }
         // Only messages on time are recorded. A delayed one waits on a thread of its own.
         let publishers = publishers.clone();
         let late = move || {
             std::thread::sleep(delay);
-            match message {
-                SensorMessage::Image(m) => publishers.image.publish(m),
-                SensorMessage::CameraInfo(m) => publishers.camera_info.publish(m),
-                SensorMessage::Joints(m) => publishers.joints.publish(m),
-            }
+            publishers.publish(message);
         };
         let _ = std::thread::Builder::new().name("late".to_owned()).spawn(late);
     }
 }
 
-fn publish(shared: &Shared, publishers: &Publishers, message: SensorMessage) {
-    let now = imu_driver::simulated_imu::pty::now();
-    let keep = !shared.endless && shared.seconds(now) >= -LEAD;
+fn record(shared: &Shared, message: &SensorMessage) {
+    let now = now();
+    if shared.endless || shared.seconds(now) < -LEAD {
+        return;
+    }
     let mut sent = lock(&shared.sent);
     match message {
-        SensorMessage::Image(m) => {
-            if keep {
-                sent.images.push((now, m.clone()));
-            }
-            publishers.image.publish(m);
-        }
-        SensorMessage::CameraInfo(m) => {
-            if keep {
-                sent.camera_info.push((now, m.clone()));
-            }
-            publishers.camera_info.publish(m);
-        }
-        SensorMessage::Joints(m) => {
-            if keep {
-                sent.joints.push((now, m.clone()));
-            }
-            publishers.joints.publish(m);
-        }
+        SensorMessage::Image(m) => sent.images.push((now, m.clone())),
+        SensorMessage::CameraInfo(m) => sent.camera_info.push((now, m.clone())),
+        SensorMessage::Joints(m) => sent.joints.push((now, m.clone())),
     }
 }
 
@@ -76,22 +60,12 @@ pub(super) fn camera(shared: &Shared, publishers: &Publishers, images: &ImageSeq
             return;
         }
         let shown = shared.climber_clock(stamp);
-        emit(
-            shared,
-            publishers,
-            SensorMessage::Image(compressed_image(shown, frame_id, jpeg.to_vec())),
-        );
-        emit(
-            shared,
-            publishers,
-            SensorMessage::CameraInfo(convert::camera_message(
-                frame_id,
-                shown,
-                &shared.scenario.camera,
-            )),
-        );
+        let image = compressed_image(shown, frame_id, jpeg.to_vec());
+        emit(shared, publishers, SensorMessage::Image(image));
+        let info = convert::camera_message(frame_id, shown, &shared.scenario.camera);
+        emit(shared, publishers, SensorMessage::CameraInfo(info));
     };
-    let mut stamp = imu_driver::simulated_imu::pty::now();
+    let mut stamp = now();
     'still: loop {
         for frame in &images.still {
             if shared.stopped() {
@@ -129,7 +103,7 @@ pub(super) fn camera(shared: &Shared, publishers: &Publishers, images: &ImageSeq
 /// Reads the encoders at their rate until the end.
 pub(super) fn encoders(shared: &Shared, publishers: &Publishers) {
     let mut random = Random::fork(shared.scenario.sensors.seed, "live encoders");
-    let mut stamp = imu_driver::simulated_imu::pty::now();
+    let mut stamp = now();
     while !shared.stopped() {
         stamp = stamp.plus_seconds(1.0 / shared.scenario.sensors.climber_rate);
         shared.sleep_until(stamp);
@@ -140,7 +114,7 @@ pub(super) fn encoders(shared: &Shared, publishers: &Publishers) {
 }
 
 /// Samples of the IMU with noise, biases and a drifting attitude error.
-pub(super) fn imu(shared: Arc<Shared>) -> imu_driver::simulated_imu::Source {
+pub(super) fn imu(shared: Arc<Shared>) -> Source {
     let mut random = Random::fork(shared.scenario.sensors.seed, "live unit");
     let heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), random.within(-3.0, 3.0));
     let mut wander = Vector3::zeros();
@@ -148,8 +122,7 @@ pub(super) fn imu(shared: Arc<Shared>) -> imu_driver::simulated_imu::Source {
         let Shared { scenario, .. } = &*shared;
         let (c, imu) = (&scenario.sensors, &scenario.rig.imu);
         let t = shared.seconds(at);
-        let (force, rate) =
-            Sensors::new(&scenario.motion, &scenario.rig, &scenario.camera, c).ideal_imu(t);
+        let (force, rate) = scenario.simulated_sensors().ideal_imu(t);
         let mut white = |sigma: f64| {
             Vector3::new(random.normal(), random.normal(), random.normal())
                 * sigma

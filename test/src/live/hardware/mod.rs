@@ -12,7 +12,10 @@ use super::{
     site::{ClockError, Host, Site},
 };
 use anyhow::{Context, Result, anyhow};
-use imu_driver::simulated_imu::{SimulatedImuConfig, pty::PtyImu};
+use imu_driver::simulated_imu::{
+    SimulatedImuConfig,
+    pty::{PtyImu, now},
+};
 use node_kit::{RosArguments, node::Process};
 use rig_model::Stamp;
 use std::{
@@ -98,7 +101,7 @@ impl Shared {
     /// Sleeps until the instant, in parts so that a stop takes effect soon.
     fn sleep_until(&self, at: Stamp) {
         while !self.stopped() {
-            let left = at.seconds_since(imu_driver::simulated_imu::pty::now());
+            let left = at.seconds_since(now());
             if left <= 0.0 {
                 return;
             }
@@ -147,7 +150,7 @@ impl SimulatedHardware {
         let shared = Arc::new(Shared {
             scenario: scenario.clone(),
             epoch: AtomicI64::new(i64::MAX),
-            began: imu_driver::simulated_imu::pty::now(),
+            began: now(),
             clock: site.climber_clock,
             clock_set_by: AtomicI64::new(0),
             endless: site.endless,
@@ -177,7 +180,7 @@ impl SimulatedHardware {
 
     /// Lets the scenario begin `seconds` from now; gives the stamp of its zero.
     pub fn begin_in(&self, seconds: f64) -> Stamp {
-        let epoch = imu_driver::simulated_imu::pty::now().plus_seconds(seconds);
+        let epoch = now().plus_seconds(seconds);
         self.shared.epoch.store(epoch.as_nanos(), Ordering::Relaxed);
         epoch
     }
@@ -186,7 +189,7 @@ impl SimulatedHardware {
     pub fn seconds(&self) -> f64 {
         match self.shared.epoch.load(Ordering::Relaxed) {
             i64::MAX => -100.0,
-            epoch => imu_driver::simulated_imu::pty::now().seconds_since(Stamp::from_nanos(epoch)),
+            epoch => now().seconds_since(Stamp::from_nanos(epoch)),
         }
     }
 

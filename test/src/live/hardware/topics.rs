@@ -1,6 +1,7 @@
 //! The hardware's publishers and the subscriber to the nodes' topics.
 
-use super::{Received, lock};
+use super::{Received, SensorMessage, lock};
+use imu_driver::simulated_imu::pty::now;
 use node_kit::{
     node::{NodeContext, NodeError, NodeShell, Publisher},
     qos::QosPreset,
@@ -18,6 +19,16 @@ pub(super) struct Publishers {
     pub(super) image: Publisher<CompressedImage>,
     pub(super) camera_info: Publisher<CameraInfo>,
     pub(super) joints: Publisher<JointState>,
+}
+
+impl Publishers {
+    pub(super) fn publish(&self, message: SensorMessage) {
+        match message {
+            SensorMessage::Image(m) => self.image.publish(m),
+            SensorMessage::CameraInfo(m) => self.camera_info.publish(m),
+            SensorMessage::Joints(m) => self.joints.publish(m),
+        }
+    }
 }
 
 /// The climber's computer: camera and encoders.
@@ -67,28 +78,19 @@ impl RigSubscriber {
         context: &mut NodeContext<()>,
         received: &Arc<Mutex<Received>>,
     ) -> Result<Self, NodeError> {
-        subscribe(context, topics::ODOMETRY, QosPreset::State, received, |h| &mut h.odometry)?;
-        subscribe(context, topics::VISUAL_POSE, QosPreset::State, received, |h| {
-            &mut h.visual_pose
-        })?;
-        subscribe(context, topics::MARKER_UPDATES, QosPreset::State, received, |h| {
-            &mut h.marker_updates
-        })?;
-        subscribe(context, topics::absolute::DIAGNOSTICS, QosPreset::State, received, |h| {
-            &mut h.diagnostics
-        })?;
-        subscribe(context, topics::POSE, QosPreset::State, received, |h| &mut h.pose)?;
-        subscribe(context, topics::STATUS, QosPreset::State, received, |h| &mut h.status)?;
-        subscribe(context, topics::FUSED_POSE, QosPreset::State, received, |h| &mut h.fused_pose)?;
-        subscribe(context, topics::IMU, QosPreset::Sensor, received, |h| &mut h.imu)?;
-        subscribe(context, topics::MARKERS, QosPreset::State, received, |h| &mut h.markers)?;
-        subscribe(context, topics::CLIMBER_TRANSFORM, QosPreset::State, received, |h| {
-            &mut h.climber
-        })?;
-        subscribe(context, topics::absolute::TF, QosPreset::State, received, |h| &mut h.tf)?;
-        subscribe(context, topics::absolute::TF_STATIC, QosPreset::Latched, received, |h| {
-            &mut h.tf_static
-        })?;
+        use QosPreset::{Latched, Sensor, State};
+        subscribe(context, topics::ODOMETRY, State, received, |h| &mut h.odometry)?;
+        subscribe(context, topics::VISUAL_POSE, State, received, |h| &mut h.visual_pose)?;
+        subscribe(context, topics::MARKER_UPDATES, State, received, |h| &mut h.marker_updates)?;
+        subscribe(context, topics::absolute::DIAGNOSTICS, State, received, |h| &mut h.diagnostics)?;
+        subscribe(context, topics::POSE, State, received, |h| &mut h.pose)?;
+        subscribe(context, topics::STATUS, State, received, |h| &mut h.status)?;
+        subscribe(context, topics::FUSED_POSE, State, received, |h| &mut h.fused_pose)?;
+        subscribe(context, topics::IMU, Sensor, received, |h| &mut h.imu)?;
+        subscribe(context, topics::MARKERS, State, received, |h| &mut h.markers)?;
+        subscribe(context, topics::CLIMBER_TRANSFORM, State, received, |h| &mut h.climber)?;
+        subscribe(context, topics::absolute::TF, State, received, |h| &mut h.tf)?;
+        subscribe(context, topics::absolute::TF_STATIC, Latched, received, |h| &mut h.tf_static)?;
         Ok(Self)
     }
 }
@@ -106,8 +108,7 @@ fn subscribe<M: Message>(
 ) -> Result<(), NodeError> {
     let received = Arc::clone(received);
     context.subscribe_optional(topic, preset, move |message: Arc<M>| {
-        let now = imu_driver::simulated_imu::pty::now();
-        list(&mut lock(&received)).push((now, message));
+        list(&mut lock(&received)).push((now(), message));
         None
     })
 }

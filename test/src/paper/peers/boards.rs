@@ -1,10 +1,10 @@
 //! Figs. 2 and 7: pose from chessboards and from four markers.
 
-use super::{Csv, axis, distinct, label, rounded_up};
-use crate::paper::{Made, Value, write};
+use super::{Csv, distinct, label, rounded_up};
+use crate::paper::{Made, Value, axis, table, write};
 use anyhow::Result;
 use std::path::Path;
-use volant::report::{Panel, Series, Shape, Sheet, Table, panels};
+use volant::report::{Panel, Series, Shape, Sheet, panels};
 
 /// Figs. 2 and 7: `which` is the one.
 pub fn boards(which: &'static str, folder: &Path) -> Result<Made> {
@@ -33,17 +33,16 @@ pub fn boards(which: &'static str, folder: &Path) -> Result<Made> {
             })
             .collect()
     };
-    let top = |values: &[f64], spread: &[f64]| {
-        rounded_up(
-            values
-                .iter()
-                .zip(spread)
-                .map(|(v, s)| v + s)
-                .filter(|v| v.is_finite())
-                .fold(0.0, f64::max),
-        )
+    let panel = |what: &str, unit: &str, values: &[f64], spread: &[f64]| {
+        let ends = values.iter().zip(spread).map(|(v, s)| v + s).filter(|v| v.is_finite());
+        let top = rounded_up(ends.fold(0.0, f64::max));
+        Panel {
+            title: format!("{what}, mean and deviation"),
+            x: axis("viewing angle [deg]", [-2.0, 62.0], false),
+            y: axis(format!("error [{unit}]"), [0.0, top], false),
+            series: series(values, spread),
+        }
     };
-    let x = || axis("viewing angle [deg]", [-2.0, 62.0], false);
     let title = if which == "fig-2" {
         "Fig. 2: pose from all corners of a chessboard and from four"
     } else {
@@ -51,28 +50,11 @@ pub fn boards(which: &'static str, folder: &Path) -> Result<Made> {
     };
     let drawn = panels(
         Sheet { title, size: (1120, 520), grid: (1, 2) },
-        &[
-            Panel {
-                title: "translation, mean and deviation".into(),
-                x: x(),
-                y: axis("error [mm]", [0.0, top(&mm, &mm_std)], false),
-                series: series(&mm, &mm_std),
-            },
-            Panel {
-                title: "rotation, mean and deviation".into(),
-                x: x(),
-                y: axis("error [deg]", [0.0, top(&deg, &deg_std)], false),
-                series: series(&deg, &deg_std),
-            },
-        ],
+        &[panel("translation", "mm", &mm, &mm_std), panel("rotation", "deg", &deg, &deg_std)],
     )?;
     let svg = write(folder, &format!("{which}.svg"), &drawn)?;
     // Over all angles, each weighted by the poses it has.
-    let mut table = Table {
-        head: ["from", "found", "mean [mm]", "mean [deg]"].map(String::from).to_vec(),
-        rows: Vec::new(),
-    };
-    let mut means = Vec::new();
+    let (mut rows, mut means) = (Vec::new(), Vec::new());
     for name in &names {
         let (mut sums, mut count, mut all) = ([0.0; 2], 0.0, 0.0);
         for i in (0..methods.len()).filter(|i| methods[*i] == *name) {
@@ -84,12 +66,11 @@ pub fn boards(which: &'static str, folder: &Path) -> Result<Made> {
             }
         }
         means.push(sums.map(|s| s / count));
-        let cell = |t: String| (t, false);
-        table.rows.push(vec![
-            cell(label(name).0),
-            cell(format!("{:.0} %", 100.0 * count / all)),
-            cell(format!("{:.3}", sums[0] / count)),
-            cell(format!("{:.4}", sums[1] / count)),
+        rows.push([
+            label(name).0,
+            format!("{:.0} %", 100.0 * count / all),
+            format!("{:.3}", sums[0] / count),
+            format!("{:.4}", sums[1] / count),
         ]);
     }
     let ratio = |a: usize, b: usize| match (means.get(a), means.get(b)) {
@@ -103,16 +84,14 @@ pub fn boards(which: &'static str, folder: &Path) -> Result<Made> {
             vec![Value::new("error of four corners over that of all 48", "nearly 1", times(r))],
             "A chessboard of 8×6 inner corners on the markers' footprint, 1 m below the camera, \
              seen at angles from 0 to 60°, and the pose from all of them and from the outermost \
-             four."
-                .to_owned(),
+             four.",
             "The published figure is an image without numbers; its text calls four corners nearly \
              as good as all. With independent noise of each corner they are not: 48 points average \
              it, four do not. But the \
              error stays far within the 5 mm and 1° that count as a success here, which makes four \
              points, and so four markers, enough. The orientation of a chessboard is ambiguous (it \
              is symmetric under half a turn); here the truth resolves it, on the platform the four \
-             colors do."
-                .to_owned(),
+             colors do.",
         )
     } else {
         (
@@ -126,15 +105,13 @@ pub fn boards(which: &'static str, folder: &Path) -> Result<Made> {
             ],
             "The same boards beside four colored squares on the same footprint: by the paper's \
              recipe (binary images, centers of mass, OpenCV's extrinsics) and by the default \
-             tracker."
-                .to_owned(),
+             tracker.",
             "The published figure is an image without numbers; its text has the markers replace \
              the board without loss. A recipe that uses centers of \
              mass as images of the centers is off by the effect of perspective on a tilted square, \
              up to a pixel; predicting the centroid of the projected square removes that error, \
              and fitting its edges uses more pixels than 48 corners have. Failures beyond 50 mm or \
-             5° are not averaged; the table counts them as not found."
-                .to_owned(),
+             5° are not averaged; the table counts them as not found.",
         )
     };
     Ok(Made {
@@ -142,9 +119,9 @@ pub fn boards(which: &'static str, folder: &Path) -> Result<Made> {
         title,
         csv: csv.path,
         svg,
-        table: Some(table),
+        table: Some(table(["from", "found", "mean [mm]", "mean [deg]"], rows)),
         values,
-        shows,
-        published,
+        shows: shows.to_owned(),
+        published: published.to_owned(),
     })
 }

@@ -1,8 +1,8 @@
 //! Fig. 12: mean error and standard deviation, by method.
 
-use super::{Csv, axis, label, named, rounded_up};
+use super::{Csv, label, named, rounded_up};
 use crate::paper::{
-    Made, Value,
+    Made, Value, axis,
     bars::{Bars, draw_bars},
     read, write,
 };

@@ -16,11 +16,12 @@ pub use times::table_1;
 use super::read;
 use anyhow::{Error, Result, anyhow};
 use std::{
+    collections::BTreeSet,
     io::{BufRead, BufReader},
     path::{Path, PathBuf},
     process::{Command, Stdio},
 };
-use volant::report::{Axis, Color, Table, cells, colors};
+use volant::report::{Color, Table, cells, colors};
 
 /// What the peers' executable is called.
 pub const PEERS: &str = "volant-peers";
@@ -117,13 +118,8 @@ impl Csv {
 
 /// Each name once, in the order of its first appearance.
 fn distinct(names: &[String]) -> Vec<String> {
-    let mut list: Vec<String> = Vec::new();
-    for n in names {
-        if !list.contains(n) {
-            list.push(n.clone());
-        }
-    }
-    list
+    let mut seen = BTreeSet::new();
+    names.iter().filter(|name| seen.insert(*name)).cloned().collect()
 }
 
 /// Name and color of a method in charts.
@@ -155,10 +151,6 @@ fn named(mut table: Table, head: &[&str]) -> Table {
         }
     }
     table
-}
-
-fn axis(name: &str, range: [f64; 2], log: bool) -> Axis {
-    Axis { name: name.into(), range, log }
 }
 
 /// The next round number.

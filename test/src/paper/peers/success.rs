@@ -1,10 +1,10 @@
 //! Fig. 11: share of poses within 5 mm and 1°, by method.
 
-use super::{Csv, axis, distinct, label};
-use crate::paper::{Made, Value, write};
+use super::{Csv, distinct, label};
+use crate::paper::{Made, Value, axis, series, table, write};
 use anyhow::Result;
 use std::path::Path;
-use volant::report::{Panel, Series, Shape, Sheet, Table, panels};
+use volant::report::{Panel, Shape, Sheet, panels};
 
 pub fn figure_11(folder: &Path) -> Result<Made> {
     let csv = Csv::read(folder.join("fig-11.csv"))?;
@@ -24,9 +24,8 @@ pub fn figure_11(folder: &Path) -> Result<Made> {
                 let apart = 1.3 * (0.5 * (names.len() as f64 - 1.0) - k as f64);
                 let points = (0..methods.len())
                     .filter(|i| methods[*i] == *m && sweep[*i] == which)
-                    .map(|i| (value[i], 100.0 * success[i] + apart))
-                    .collect();
-                Series { name: shown, color, shape: Shape::Dotted, points, spread: Vec::new() }
+                    .map(|i| (value[i], 100.0 * success[i] + apart));
+                series(shown, color, Shape::Dotted, points)
             })
             .collect(),
     };
@@ -44,10 +43,6 @@ pub fn figure_11(folder: &Path) -> Result<Made> {
         ],
     )?;
     let svg = write(folder, "fig-11.svg", &drawn)?;
-    let mut table = Table {
-        head: ["method", "over the angle", "over the distance", "all"].map(String::from).to_vec(),
-        rows: Vec::new(),
-    };
     let mean = |m: &str, which: Option<&str>| {
         let values: Vec<f64> = (0..methods.len())
             .filter(|i| methods[*i] == m && which.is_none_or(|w| sweep[*i] == w))
@@ -56,15 +51,11 @@ pub fn figure_11(folder: &Path) -> Result<Made> {
         100.0 * values.iter().sum::<f64>() / values.len() as f64
     };
     let mut all: Vec<(f64, String)> = names.iter().map(|m| (mean(m, None), label(m).0)).collect();
-    for m in &names {
-        let cell = |w: Option<&str>| (format!("{:.1} %", mean(m, w)), false);
-        table.rows.push(vec![
-            (label(m).0, false),
-            cell(Some("angle_deg")),
-            cell(Some("distance_m")),
-            cell(None),
-        ]);
-    }
+    let rows = names.iter().map(|m| {
+        let cell = |w: Option<&str>| format!("{:.1} %", mean(m, w));
+        [label(m).0, cell(Some("angle_deg")), cell(Some("distance_m")), cell(None)]
+    });
+    let table = table(["method", "over the angle", "over the distance", "all"], rows);
     let mut beaten: Vec<String> = Vec::new();
     for i in (0..methods.len()).filter(|i| methods[*i] == names[0]) {
         let best = (0..methods.len())

@@ -1,8 +1,8 @@
 //! Table I: time of one pose, by stage.
 
-use super::{Csv, axis, named};
+use super::{Csv, named};
 use crate::paper::{
-    Made, Value,
+    Made, Value, axis,
     bars::{Bars, decades, draw_bars},
     read, write,
 };

@@ -124,15 +124,8 @@ impl Stages {
 }
 
 impl Shot {
-    /// The paper's binary image of a color: pixels where its layer reaches the threshold.
-    fn binary(&self, color: MarkerColor) -> Vec<bool> {
-        let values: Vec<u8> =
-            self.rgb.chunks_exact(3).map(|p| layer(color, [p[0], p[1], p[2]])).collect();
-        let limit = SHARE * f64::from(values.iter().copied().max().unwrap_or(0));
-        values.iter().map(|v| *v > 0 && f64::from(*v) >= limit).collect()
-    }
-
-    /// The four binary images in one, r, g, b; adds a row of the table for each.
+    /// The paper's four binary images, pixels where a color's layer reaches the threshold, in one,
+    /// r, g, b; adds a row of the table for each.
     fn binary_image(&self, csv: &mut String, tally: &mut Tally) -> Vec<u8> {
         let w = self.image.width;
         let mut binary = vec![12u8; 3 * w * self.image.height];
@@ -141,17 +134,17 @@ impl Shot {
             let m = &self.marks[color];
             let paint =
                 [[225, 70, 80], [95, 200, 90], [90, 140, 245], [235, 210, 80]][color.index()];
+            let values = || self.rgb.chunks_exact(3).map(|p| layer(color, [p[0], p[1], p[2]]));
+            let largest = values().max().unwrap_or(0);
+            let literal = values().filter(|v| f64::from(*v) >= SHARE * 255.0).count();
             let (mut on, mut off) = (0, 0);
-            for (i, set) in self.binary(color).into_iter().enumerate() {
-                if set {
+            for (i, v) in values().enumerate() {
+                if v > 0 && f64::from(v) >= SHARE * f64::from(largest) {
                     binary[3 * i..3 * i + 3].copy_from_slice(&paint);
                     let inside = self.on_marker(color, (i % w) as f64, (i / w) as f64);
                     *(if inside { &mut on } else { &mut off }) += 1;
                 }
             }
-            let values = || self.rgb.chunks_exact(3).map(|p| layer(color, [p[0], p[1], p[2]]));
-            let largest = values().max().unwrap_or(0);
-            let literal = values().filter(|v| f64::from(*v) >= SHARE * 255.0).count();
             tally.literal_none += usize::from(literal == 0);
             if off > tally.most_stray.0 {
                 tally.most_stray = (off, Some(color));

@@ -1,12 +1,12 @@
 //! Fig. 5: hue histograms of the markers.
 
 use super::{Shot, Stages, chart_color};
-use crate::paper::{Made, Value, write};
+use crate::paper::{Made, Value, axis, series, table, write};
 use anyhow::Result;
 use marker_tracker::hue;
 use rig_model::{MarkerColor, PerColor};
 use std::{fmt::Write, path::Path};
-use volant::report::{Axis, Panel, Series, Shape, Sheet, Table, colors, panels};
+use volant::report::{Panel, Shape, Sheet, colors, panels};
 
 const TITLE: &str = "Fig. 5: hue histograms of the markers";
 /// Where the default tracker searches.
@@ -29,32 +29,26 @@ impl Stages {
         }
         let path = write(folder, "fig-5.csv", &csv)?;
         let svg = write(folder, "fig-5.svg", &draw_5(&estimated, &around)?)?;
-        let mut table = Table {
-            head: ["marker", "peak [deg]", "share within 30 deg of it", "rest of the image there"]
-                .map(String::from)
-                .to_vec(),
-            rows: Vec::new(),
-        };
-        for (color, h) in estimated.iter().filter(|(_, h)| !h.is_empty()) {
+        let rows = estimated.iter().filter(|(_, h)| !h.is_empty()).map(|(color, h)| {
             let peak = (0..bins).max_by(|a, b| h[*a].total_cmp(&h[*b])).unwrap_or(0);
             let near = |values: &[f32]| -> f32 {
                 let reach = bins / 12;
                 (0..=2 * reach).map(|k| values[(peak + bins + k - reach) % bins]).sum()
             };
-            let cell = |text: String| (text, false);
-            table.rows.push(vec![
-                cell(color.to_string()),
-                cell(format!("{:.0}", (peak as f64 + 0.5) * 360.0 / bins as f64)),
-                cell(format!("{:.0} %", 100.0 * near(h))),
-                cell(format!("{:.0} %", 100.0 * near(&around))),
-            ]);
-        }
+            [
+                color.to_string(),
+                format!("{:.0}", (peak as f64 + 0.5) * 360.0 / bins as f64),
+                format!("{:.0} %", 100.0 * near(h)),
+                format!("{:.0} %", 100.0 * near(&around)),
+            ]
+        });
+        let head = ["marker", "peak [deg]", "share within 30 deg of it", "rest of the image there"];
         Ok(Made {
             name: "fig-5",
             title: TITLE,
             csv: path,
             svg,
-            table: Some(table),
+            table: Some(table(head, rows)),
             values: vec![
                 Value::new("search window around the previous center", "at least 25 px", WINDOW),
                 Value::new("bins of a histogram", "–", bins.to_string()),
@@ -102,24 +96,17 @@ impl Shot {
 
 fn draw_5(estimated: &PerColor<Vec<f32>>, around: &[f32]) -> Result<String> {
     let most = estimated.0.iter().flatten().chain(around).copied().fold(0.1f32, f32::max);
-    let axis = |name: &str, most| Axis { name: name.into(), range: [0.0, most], log: false };
-    let line = |name: &str, color, width, h: &[f32]| Series {
-        name: name.into(),
-        color,
-        shape: Shape::Line(width),
-        points: h
-            .iter()
-            .enumerate()
-            .map(|(k, v)| ((k as f64 + 0.5) * 360.0 / h.len() as f64, f64::from(*v)))
-            .collect(),
-        spread: Vec::new(),
+    let line = |name: &str, color, width, h: &[f32]| {
+        let hue = |k: usize| (k as f64 + 0.5) * 360.0 / h.len() as f64;
+        let points = h.iter().enumerate().map(|(k, v)| (hue(k), f64::from(*v)));
+        series(name, color, Shape::Line(width), points)
     };
     let drawn: Vec<Panel> = estimated
         .iter()
         .map(|(color, h)| Panel {
             title: String::new(),
-            x: axis("hue [deg]", 360.0),
-            y: axis("share", f64::from((most * 10.0).ceil() / 10.0)),
+            x: axis("hue [deg]", [0.0, 360.0], false),
+            y: axis("share", [0.0, f64::from((most * 10.0).ceil() / 10.0)], false),
             series: vec![
                 line(color.name(), chart_color(color), 4, h),
                 line("rest of the image", colors::INK, 1, around),

@@ -7,7 +7,6 @@ use opencv::{
     imgproc,
     prelude::*,
 };
-use std::str::FromStr;
 
 /// Geometry of a chessboard.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -20,24 +19,15 @@ pub struct Board {
     pub square: f64,
 }
 
-/// Parses the inner corners, `COLUMNSxROWS`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Corners(pub i32, pub i32);
-
-impl FromStr for Corners {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let wrong = || {
-            format!(
-                "`{text}` is not COLUMNSxROWS of inner corners, such as 9x6, each from 3 to 100"
-            )
-        };
-        let (columns, rows) = text.split_once(['x', 'X']).ok_or_else(wrong)?;
-        let number =
-            |s: &str| s.trim().parse().ok().filter(|n| (3..=100).contains(n)).ok_or_else(wrong);
-        Ok(Self(number(columns)?, number(rows)?))
-    }
+/// Parses the inner corners of a row and of a column, `COLUMNSxROWS`.
+pub fn corners(text: &str) -> Result<(i32, i32), String> {
+    let number =
+        |s: &str| -> Option<i32> { s.trim().parse().ok().filter(|n| (3..=100).contains(n)) };
+    let parsed = text.split_once(['x', 'X']);
+    let parsed = parsed.and_then(|(columns, rows)| Some((number(columns)?, number(rows)?)));
+    parsed.ok_or_else(|| {
+        format!("`{text}` is not COLUMNSxROWS of inner corners, such as 9x6, each from 3 to 100")
+    })
 }
 
 impl Board {

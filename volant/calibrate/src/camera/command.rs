@@ -1,7 +1,9 @@
 //! `volant calibrate camera`.
 
 use super::{
-    Board, Calibration, Coverage, LensModel, Options, View, board::Corners, calibrate, find,
+    board::{Board, View, corners, find},
+    coverage::Coverage,
+    solve::{Calibration, LensModel, calibrate},
 };
 use crate::images::{self, Kind};
 use anyhow::{Context, Result, ensure};
@@ -25,8 +27,8 @@ pub struct CameraArguments {
     /// /dev/video0, or live image topic (the last two until the views suffice, or Ctrl-C)
     source: PathBuf,
     /// Inner corners of the chessboard, COLUMNSxROWS
-    #[arg(long, default_value = "9x6")]
-    board: Corners,
+    #[arg(long, default_value = "9x6", value_parser = corners)]
+    board: (i32, i32),
     /// Edge of a square, m
     #[arg(long, default_value_t = 0.025)]
     square: f64,
@@ -60,7 +62,7 @@ pub struct CameraArguments {
 /// # Errors
 /// See the messages, which name the remedy.
 pub fn run(arguments: &CameraArguments) -> Result<()> {
-    let Corners(columns, rows) = arguments.board;
+    let (columns, rows) = arguments.board;
     ensure!(
         arguments.square > 0.0 && arguments.square.is_finite(),
         "--square {}: the edge of a square is a length in meters, such as 0.025",
@@ -105,9 +107,8 @@ pub fn run(arguments: &CameraArguments) -> Result<()> {
     for sentence in coverage.missing() {
         outln!("missing: {sentence}")?;
     }
-    let options =
-        Options { lens: arguments.model, reject: arguments.reject.unwrap_or(f64::INFINITY) };
-    let calibration = calibrate(&board, &views, &options)
+    let reject = arguments.reject.unwrap_or(f64::INFINITY);
+    let calibration = calibrate(&board, &views, arguments.model, reject)
         .with_context(|| format!("{shown}: no calibration from {} views", views.len()))?;
     print(&calibration)?;
     let name = arguments.name.as_deref();
@@ -144,11 +145,8 @@ impl Guide {
 
     fn say(&self, coverage: &Coverage, views: usize) {
         if let Some(bar) = &self.bar {
-            let next = coverage
-                .missing()
-                .into_iter()
-                .next()
-                .unwrap_or_else(|| "nothing is missing".into());
+            let missing = coverage.missing();
+            let next = missing.first().map_or("nothing is missing", String::as_str);
             bar.set_message(format!("{views} views; next: {next}"));
         }
     }

@@ -15,30 +15,13 @@ const WANTED_TILTED: usize = 3;
 /// Relative difference of opposite sides of a board tilted by about 15°.
 const TILTED: f64 = 0.06;
 
-/// Sums over views.
-#[derive(Clone, Debug)]
+/// The accepted views.
+#[derive(Clone, Debug, Default)]
 pub struct Coverage {
-    views: usize,
     /// Corners per cell of the image.
     map: [usize; MAP.0 * MAP.1],
-    /// Views tilted away at the top, bottom, left, right.
-    tilted: [usize; 4],
-    /// Smallest and largest share of the image's width and height that a board fills.
-    share: (f64, f64),
-    /// Accepted views, for [`Coverage::adds`].
+    /// [`signature`] of each view.
     seen: Vec<[f64; 5]>,
-}
-
-impl Default for Coverage {
-    fn default() -> Self {
-        Self {
-            views: 0,
-            map: [0; MAP.0 * MAP.1],
-            tilted: [0; 4],
-            share: (1.0, 0.0),
-            seen: Vec::new(),
-        }
-    }
 }
 
 /// Center and size (shares of the image), and inequality of opposite sides, horizontally and
@@ -68,8 +51,6 @@ fn signature(view: &View, board: &Board) -> [f64; 5] {
 impl Coverage {
     /// Adds a view.
     pub fn add(&mut self, view: &View, board: &Board) {
-        let signature = signature(view, board);
-        self.views += 1;
         for p in view.corners.iter() {
             let cell = |value: f32, size: i32, cells: usize| {
                 ((f64::from(value) / f64::from(size) * cells as f64).max(0.0) as usize)
@@ -77,14 +58,19 @@ impl Coverage {
             };
             self.map[cell(p.y, view.size.1, MAP.1) * MAP.0 + cell(p.x, view.size.0, MAP.0)] += 1;
         }
+        self.seen.push(signature(view, board));
+    }
+
+    /// Views tilted away at the top, bottom, left, right.
+    fn tilted(&self) -> [usize; 4] {
         // The lengths shrink along the depth gradient: positive if the far side is right or below.
-        for (index, value) in
-            [-signature[4], signature[4], -signature[3], signature[3]].into_iter().enumerate()
-        {
-            self.tilted[index] += usize::from(value > TILTED);
-        }
-        self.share = (self.share.0.min(signature[2]), self.share.1.max(signature[2]));
-        self.seen.push(signature);
+        [(4, -1.0), (4, 1.0), (3, -1.0), (3, 1.0)]
+            .map(|(i, sign)| self.seen.iter().filter(|view| sign * view[i] > TILTED).count())
+    }
+
+    /// Largest share of the image's width and height that a board fills.
+    fn largest_share(&self) -> f64 {
+        self.seen.iter().map(|view| view[2]).fold(0.0, f64::max)
     }
 
     /// Whether a view of a stream differs enough from the accepted ones.
@@ -100,15 +86,14 @@ impl Coverage {
     /// Missing views, one sentence each; empty if none is missing.
     pub fn missing(&self) -> Vec<String> {
         let mut missing = Vec::new();
-        if self.views < WANTED_VIEWS {
+        let views = self.seen.len();
+        if views < WANTED_VIEWS {
             missing.push(format!(
-                "{} more views (there are {}, {WANTED_VIEWS} are wanted)",
-                WANTED_VIEWS - self.views,
-                self.views
+                "{} more views (there are {views}, {WANTED_VIEWS} are wanted)",
+                WANTED_VIEWS - views
             ));
         }
-        let names = ["top", "bottom", "left", "right"];
-        for (name, &count) in names.iter().zip(&self.tilted) {
+        for (name, count) in ["top", "bottom", "left", "right"].iter().zip(self.tilted()) {
             if count < WANTED_TILTED {
                 missing.push(format!(
                     "{} with the board tilted by 20 to 45 deg so that its {name} side is the far \
@@ -137,7 +122,7 @@ impl Coverage {
                 places.join(", ")
             ));
         }
-        if self.share.1 < 0.4 {
+        if self.largest_share() < 0.4 {
             missing
                 .push("the board nearer to the camera, so that it fills half of the image".into());
         }
@@ -151,7 +136,7 @@ impl fmt::Display for Coverage {
         writeln!(
             f,
             "coverage of the image by corners (. none, 1 few … 9 most), {} views:",
-            self.views
+            self.seen.len()
         )?;
         for row in self.map.chunks(MAP.0) {
             let line: String = row
@@ -160,16 +145,15 @@ impl fmt::Display for Coverage {
                 .collect();
             writeln!(f, "  {line}")?;
         }
+        let [top, bottom, left, right] = self.tilted();
+        let largest = self.largest_share();
+        let smallest = self.seen.iter().map(|view| view[2]).fold(largest, f64::min);
         write!(
             f,
-            "tilted away: top {}, bottom {}, left {}, right {}; board fills {:.0} to {:.0} % of \
-             the image's sides",
-            self.tilted[0],
-            self.tilted[1],
-            self.tilted[2],
-            self.tilted[3],
-            100.0 * self.share.0.min(self.share.1),
-            100.0 * self.share.1
+            "tilted away: top {top}, bottom {bottom}, left {left}, right {right}; board fills \
+             {:.0} to {:.0} % of the image's sides",
+            100.0 * smallest,
+            100.0 * largest
         )
     }
 }

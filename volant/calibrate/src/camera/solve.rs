@@ -20,16 +20,6 @@ pub enum LensModel {
     RationalPolynomial,
 }
 
-/// Options of the calibration.
-#[derive(Clone, Copy, Debug)]
-pub struct Options {
-    /// Lens model.
-    pub lens: LensModel,
-    /// Views with an error above this multiple of the median are rejected, and the rest is solved
-    /// again.
-    pub reject: f64,
-}
-
 /// A calibrated camera.
 #[derive(Clone, Debug)]
 pub struct Calibration {
@@ -48,12 +38,18 @@ pub struct Calibration {
     pub rejected: Vec<(String, f64)>,
 }
 
-/// Calibrates by Zhang's method and bundle adjustment.
+/// Calibrates by Zhang's method and bundle adjustment. Views with an error above `reject` times the
+/// median are rejected, and the rest is solved again.
 ///
 /// # Errors
 /// Fewer than four views, views of different sizes, or views that do not determine the camera
 /// (boards that are all parallel to the image plane).
-pub fn calibrate(board: &Board, views: &[View], options: &Options) -> Result<Calibration> {
+pub fn calibrate(
+    board: &Board,
+    views: &[View],
+    lens: LensModel,
+    reject: f64,
+) -> Result<Calibration> {
     ensure!(
         views.len() >= 4,
         "the board is visible in {} images, but at least four are required; take more, tilted in \
@@ -76,10 +72,10 @@ pub fn calibrate(board: &Board, views: &[View], options: &Options) -> Result<Cal
     let mut used: Vec<&View> = views.iter().collect();
     let mut rejected = Vec::new();
     loop {
-        let solution = solve(board, &used, options)?;
+        let solution = solve(board, &used, lens)?;
         let mut errors: Vec<f64> = solution.views.iter().map(|v| v.1).collect();
         errors.sort_by(f64::total_cmp);
-        let limit = options.reject * errors[errors.len() / 2];
+        let limit = reject * errors[errors.len() / 2];
         let worst = solution.views.iter().enumerate().max_by(|a, b| a.1.1.total_cmp(&b.1.1));
         match worst {
             Some((index, (name, error, _))) if *error > limit && used.len() > 8 => {
@@ -109,13 +105,13 @@ fn ensure_determined(solution: &Calibration) -> Result<()> {
     Ok(())
 }
 
-fn solve(board: &Board, views: &[&View], options: &Options) -> Result<Calibration> {
+fn solve(board: &Board, views: &[&View], lens: LensModel) -> Result<Calibration> {
     let object: Vector<Vector<Point3f>> = views.iter().map(|_| board.points()).collect();
     let image: Vector<Vector<Point2f>> = views.iter().map(|v| v.corners.clone()).collect();
     let (width, height) = views[0].size;
-    let flags = match options.lens {
-        LensModel::PlumbBob => 0,
-        LensModel::RationalPolynomial => calib3d::CALIB_RATIONAL_MODEL,
+    let (flags, count) = match lens {
+        LensModel::PlumbBob => (0, 5),
+        LensModel::RationalPolynomial => (calib3d::CALIB_RATIONAL_MODEL, 8),
     };
     let mut matrix = Mat::eye(3, 3, core::CV_64F)?.to_mat()?;
     let (mut d, mut rvecs, mut tvecs) =
@@ -145,12 +141,11 @@ fn solve(board: &Board, views: &[&View], options: &Options) -> Result<Calibratio
     let m = |r, c| -> Result<f64> { Ok(*matrix.at_2d::<f64>(r, c)?) };
     let pinhole = [m(0, 0)?, m(1, 1)?, m(0, 2)?, m(1, 2)?];
     let mut coefficients = [0.0; 8];
-    let count = if options.lens == LensModel::PlumbBob { 5 } else { 8 };
     for (i, c) in coefficients.iter_mut().enumerate().take(count) {
         *c = at(&d, i as i32)?;
     }
     let [k1, k2, p1, p2, k3, ..] = coefficients;
-    let distortion = match options.lens {
+    let distortion = match lens {
         LensModel::PlumbBob => Distortion::PlumbBob([k1, k2, p1, p2, k3]),
         LensModel::RationalPolynomial => Distortion::RationalPolynomial(coefficients),
     };

@@ -125,9 +125,7 @@ fn recover(paths: &[PathBuf], out: &Path, options: WriteOptions) -> anyhow::Resu
         }
         losses.extend_from_slice(reader.losses());
     }
-    for loss in &losses {
-        terminal::line(&format!("volant: {loss}"));
-    }
+    losses.iter().for_each(terminal::warn);
     anyhow::ensure!(messages > 0, "{}: no readable message", terminal::name(&paths[0]));
     let bag = writer.finish()?;
     outln!("{messages} messages, {}, in {}", terminal::mebibytes(bag.bytes), out.display())?;

@@ -21,33 +21,31 @@ struct External {
     about: &'static str,
 }
 
+const fn external(name: &'static str, executable: &'static str, about: &'static str) -> External {
+    External { name, executable, about }
+}
+
+/// The simulated rig's executable.
+const RIG: &str = "volant-rig";
+
 /// What needs the simulated rig or all of OpenCV does not weigh on the robot.
 const EXTERNAL: [External; 11] = [
-    External {
-        name: "imu",
-        executable: "volant-imu",
-        about: "Find, inspect, configure and log Xsens IMUs; decode logs",
-    },
-    External {
-        name: "calibrate",
-        executable: "volant-calibrate",
-        about: "Calibrate camera, colors, mountings, encoders and IMU",
-    },
-    rig("demo", "Run the four nodes live on the simulated rig"),
-    rig("faults", "Inject faults into a live simulated rig"),
-    rig("checks", "Test `check` on recordings with wrong files"),
-    rig("hosts", "Run the rig on two computers with a bad link (as root)"),
-    rig("robustness", "Replay recordings with wrong rig files"),
-    rig("simulate", "Write simulated recordings with ground truth"),
-    rig("sites", "Run rigs and an operator on two sites with bridges (as root)"),
-    rig("soak", "Run the rig for hours with faults at random"),
-    rig("reproduce", "Reproduce the paper's figures and tables"),
+    external("imu", "volant-imu", "Find, inspect, configure and log Xsens IMUs; decode logs"),
+    external(
+        "calibrate",
+        "volant-calibrate",
+        "Calibrate camera, colors, mountings, encoders and IMU",
+    ),
+    external("demo", RIG, "Run the four nodes live on the simulated rig"),
+    external("faults", RIG, "Inject faults into a live simulated rig"),
+    external("checks", RIG, "Test `check` on recordings with wrong files"),
+    external("hosts", RIG, "Run the rig on two computers with a bad link (as root)"),
+    external("robustness", RIG, "Replay recordings with wrong rig files"),
+    external("simulate", RIG, "Write simulated recordings with ground truth"),
+    external("sites", RIG, "Run rigs and an operator on two sites with bridges (as root)"),
+    external("soak", RIG, "Run the rig for hours with faults at random"),
+    external("reproduce", RIG, "Reproduce the paper's figures and tables"),
 ];
-
-/// A command of the simulated rig's executable.
-const fn rig(name: &'static str, about: &'static str) -> External {
-    External { name, executable: "volant-rig", about }
-}
 
 /// Groups of the list; those of the simulated rig and the rest follow.
 const GROUPS: [(&str, &[&str]); 3] = [
@@ -66,7 +64,7 @@ pub fn listing() -> String {
         about.unwrap_or_else(|| "Print the help of a command".to_owned())
     };
     let grouped = |name: &&str| GROUPS.iter().any(|(_, names)| names.contains(name));
-    let simulated = EXTERNAL.iter().filter(|e| e.executable == "volant-rig").map(|e| e.name);
+    let simulated = EXTERNAL.iter().filter(|e| e.executable == RIG).map(|e| e.name);
     let simulated: Vec<&str> = simulated.collect();
     let rest = own.get_subcommands().map(Command::get_name).filter(|name| !grouped(name));
     let rest: Vec<&str> = rest.chain(["help"]).collect();
@@ -112,8 +110,8 @@ pub fn other(words: &[OsString]) -> ExitCode {
     };
     let mut command =
         process::Command::new(beside(&executable).unwrap_or_else(|| executable.clone().into()));
-    // `volant-rig` has several commands.
-    command.args(if executable == "volant-rig" { words } else { rest });
+    // It has several commands.
+    command.args(if executable == RIG { words } else { rest });
     let status = become_(&mut command, &executable, &missing);
     if known.is_none() { ExitCode::from(2) } else { status }
 }
@@ -129,9 +127,9 @@ fn beside(name: &str) -> Option<PathBuf> {
 fn become_(command: &mut process::Command, name: &str, missing: &str) -> ExitCode {
     let error = command.exec();
     if error.kind() == std::io::ErrorKind::NotFound {
-        terminal::line(&format!("volant: {missing}"));
+        terminal::warn(missing);
     } else {
-        terminal::line(&format!("volant: {name} cannot be run: {error}"));
+        terminal::warn(format!("{name} cannot be run: {error}"));
     }
     ExitCode::FAILURE
 }
@@ -162,13 +160,9 @@ pub fn completions(shell: clap_complete::Shell) -> anyhow::Result<()> {
 /// Writes the manual pages; those of the simulated rig's commands are written by its executable.
 pub fn manual(arguments: &Manual) -> anyhow::Result<()> {
     let mut command = whole();
-    if let Some(rig) = beside("volant-rig") {
-        let own = command.get_subcommands().map(|c| c.get_name().to_owned());
-        let is_rigs = |n: &String| {
-            EXTERNAL.iter().any(|e| e.name == n.as_str() && e.executable == "volant-rig")
-        };
-        for name in own.filter(is_rigs).collect::<Vec<_>>() {
-            command = command.mut_subcommand(name, |c| c.hide(true));
+    if let Some(rig) = beside(RIG) {
+        for external in EXTERNAL.iter().filter(|e| e.executable == RIG) {
+            command = command.mut_subcommand(external.name, |c| c.hide(true));
         }
         let overwrite = arguments.overwrite.then_some("--overwrite");
         let status = process::Command::new(rig)

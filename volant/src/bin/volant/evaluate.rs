@@ -48,9 +48,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         names: arguments.topics.names(),
     };
     let evaluation = evaluate(&options).context("evaluate")?;
-    for loss in &evaluation.losses {
-        terminal::line(&format!("volant: {loss}"));
-    }
+    evaluation.losses.iter().for_each(terminal::warn);
     if let Some(path) = &arguments.csv {
         write(path, &csv(&evaluation))?;
     }

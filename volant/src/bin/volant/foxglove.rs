@@ -40,6 +40,6 @@ pub fn start(address: Option<&str>) -> anyhow::Result<Foxglove> {
         ))
     })?;
     let server = Foxglove::start(address)?;
-    terminal::line(&format!("volant: connect Foxglove to ws://{}", server.address()));
+    terminal::warn(format!("connect Foxglove to ws://{}", server.address()));
     Ok(server)
 }

@@ -49,10 +49,6 @@ fn sheets_file(name: &str) -> Result<PathBuf, &'static str> {
     }
 }
 
-/// Runs the command.
-///
-/// # Errors
-/// See the messages, which name the remedy.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let inputs = [&arguments.rig].into_iter().chain(&arguments.camera).map(PathBuf::as_path);
     let inputs: Vec<&Path> = inputs.collect();

@@ -1,6 +1,7 @@
 //! `volant monitor`.
 
 use crate::signals;
+use node_kit::console::{stop_flag, stop_signals};
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
 use std::{
     io::{IsTerminal, Write},
@@ -12,10 +13,7 @@ use std::{
 };
 use volant::{
     command_line::number,
-    live::{
-        LiveError,
-        monitor::{Snapshot, Watch, WatchOptions, plain, screen},
-    },
+    live::monitor::{Snapshot, Watch, plain, screen},
 };
 
 #[derive(clap::Args)]
@@ -45,12 +43,11 @@ const FRAME: Duration = Duration::from_millis(250);
 const LAST_FRAME: Duration = Duration::from_secs(1);
 
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let options = WatchOptions { namespace: arguments.namespace.clone(), images: arguments.images };
-    let mut watch = Watch::start(options)?;
-    let stop = node_kit::console::stop_flag()?;
+    let mut watch = Watch::start(&arguments.namespace, arguments.images)?;
+    let stop = stop_flag()?;
     if !arguments.once && !arguments.plain && std::io::stdout().is_terminal() {
         end_after(stop.clone())?;
-        return Ok(on_screen(&mut watch, &stop)?);
+        return on_screen(&mut watch, &stop);
     }
     loop {
         listen(&mut watch, &stop, Duration::from_secs_f64(arguments.interval));
@@ -84,7 +81,7 @@ fn listen(watch: &mut Watch, stop: &AtomicBool, time: Duration) {
 /// was closed forever.
 #[allow(clippy::disallowed_methods, reason = "the main thread hangs")]
 fn end_after(stop: Arc<AtomicBool>) -> std::io::Result<()> {
-    signals::on_stop(move || {
+    signals::on(&stop_signals(), move || {
         stop.store(true, Ordering::Release);
         std::thread::sleep(LAST_FRAME);
         // The terminal may be gone.
@@ -93,8 +90,10 @@ fn end_after(stop: Arc<AtomicBool>) -> std::io::Result<()> {
     })
 }
 
-fn on_screen(watch: &mut Watch, stop: &AtomicBool) -> Result<(), LiveError> {
-    let failed = |source| LiveError::Terminal { source };
+fn on_screen(watch: &mut Watch, stop: &AtomicBool) -> anyhow::Result<()> {
+    let failed = |source: std::io::Error| {
+        anyhow::anyhow!("the terminal: {source}; `--once` or a pipe writes plain text")
+    };
     // Its panic hook restores the terminal too.
     let mut terminal = ratatui::try_init().map_err(failed)?;
     let mut chosen = 0;

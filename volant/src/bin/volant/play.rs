@@ -4,10 +4,19 @@ use crate::{signals, terminal};
 use bag::BagReader;
 use node_kit::outln;
 use rig_model::topics::absolute::CLOCK;
-use std::{io::Read, path::PathBuf, sync::Arc, time::Duration};
+use signal_hook::consts::SIGUSR1;
+use std::{
+    io::Read,
+    path::PathBuf,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::Duration,
+};
 use volant::{
     command_line::number,
-    live::play::{PlayControl, PlayOptions, play},
+    live::play::{PlayOptions, play},
     replay::{Remap, TopicNames},
 };
 
@@ -55,8 +64,6 @@ pub struct Arguments {
 
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let seconds = |s: f64| Duration::try_from_secs_f64(s.max(0.0)).unwrap_or(Duration::MAX);
-    let absolute =
-        |name: &String| if name.starts_with('/') { name.clone() } else { format!("/{name}") };
     let options = PlayOptions {
         input: arguments.input.clone(),
         rate: arguments.rate,
@@ -64,7 +71,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         start_offset: seconds(arguments.start_offset),
         delay: seconds(arguments.delay),
         clock_hz: arguments.clock,
-        topics: arguments.topics.iter().map(absolute).collect(),
+        topics: arguments.topics.iter().map(|t| TopicNames::default().resolve(t)).collect(),
         names: TopicNames::new("", &arguments.remap),
     };
     let known = BagReader::summary(&options.input)?.topics;
@@ -73,20 +80,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     // Without any of them, playing fails.
     for name in absent.iter().filter(|name| !present.is_empty() && **name != CLOCK) {
         let bag = arguments.input.display();
-        terminal::line(&format!("volant: {bag}: no topic {name}; see `volant bag info {bag}`"));
+        terminal::warn(format!("{bag}: no topic {name}; see `volant bag info {bag}`"));
     }
-    let control = Arc::new(PlayControl::new(arguments.paused));
-    signals::on_stop({
-        let control = control.clone();
-        move || control.stop()
-    })?;
-    signals::on_usr1({
-        let control = control.clone();
-        move || control.toggle_paused()
-    })?;
-    let keys = Keys::listen(&control);
+    let stop = node_kit::console::stop_flag()?;
+    let paused = Arc::new(AtomicBool::new(arguments.paused));
+    signals::on(&[SIGUSR1], toggle(Arc::clone(&paused)))?;
+    let keys = Keys::listen(toggle(Arc::clone(&paused)));
     let bar = terminal::spinner();
-    let result = play(&options, &control, |time, (first, last)| {
+    let result = play(&options, &stop, &paused, |time, (first, last)| {
         let at = |t: u64| t.saturating_sub(first) as f64 * 1e-9;
         let hint = if keys.is_some() { "; space pauses" } else { "" };
         bar.set_message(format!("playing {:.1} of {:.1} s{hint}", at(time), at(last)));
@@ -94,12 +95,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     bar.finish_and_clear();
     drop(keys);
     let report = result?;
-    for loss in &report.losses {
-        terminal::line(&format!("volant: {loss}"));
-    }
+    report.losses.iter().for_each(terminal::warn);
     if report.rejected > 0 {
-        terminal::line(&format!(
-            "volant: {} messages were not published: a reliable subscriber did not keep up, or \
+        terminal::warn(format!(
+            "{} messages were not published: a reliable subscriber did not keep up, or \
              they are no little-endian CDR",
             report.rejected
         ));
@@ -108,11 +107,18 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Pauses the playback, or resumes it.
+fn toggle(paused: Arc<AtomicBool>) -> impl Fn() + Send + 'static {
+    move || {
+        paused.fetch_xor(true, Ordering::AcqRel);
+    }
+}
+
 /// Pauses on the space bar; the terminal is in non-canonical mode until this is dropped.
 struct Keys(rustix::termios::Termios);
 
 impl Keys {
-    fn listen(control: &Arc<PlayControl>) -> Option<Self> {
+    fn listen(toggle: impl Fn() + Send + 'static) -> Option<Self> {
         use rustix::{
             process::getpgrp,
             termios::{LocalModes, OptionalActions, tcgetattr, tcgetpgrp, tcsetattr},
@@ -124,12 +130,11 @@ impl Keys {
         let mut keys = before.clone();
         keys.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);
         tcsetattr(&stdin, OptionalActions::Now, &keys).ok()?;
-        let control = control.clone();
         // A blocking read has no cancellation; the thread ends with the process.
         std::thread::spawn(move || {
             for key in std::io::stdin().lock().bytes().map_while(Result::ok) {
                 if key == b' ' {
-                    control.toggle_paused();
+                    toggle();
                 }
             }
         });

@@ -12,6 +12,7 @@ use std::{
 use volant::{
     command_line::{UsageError, number},
     live::record::{RecordOptions, bag_name, record},
+    replay::TopicNames,
 };
 
 #[derive(clap::Args)]
@@ -59,8 +60,6 @@ pub struct Arguments {
 
 #[allow(clippy::disallowed_methods, reason = "a shell: it names a file by the time")]
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let absolute =
-        |name: &String| if name.starts_with('/') { name.clone() } else { format!("/{name}") };
     let seconds = |s: f64| Duration::try_from_secs_f64(s).unwrap_or(Duration::MAX);
     let output = match (&arguments.out, &arguments.into) {
         (None, Some(folder)) => folder.join(bag_name(SystemTime::now())),
@@ -77,7 +76,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let options = RecordOptions {
         output: output.clone(),
-        topics: arguments.topics.iter().map(absolute).collect(),
+        topics: arguments.topics.iter().map(|t| TopicNames::default().resolve(t)).collect(),
         exclude: arguments.exclude.clone(),
         write: WriteOptions {
             compression: arguments.compression,
@@ -96,7 +95,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let result = record(&options, &stop, |status| {
         let failures = status.failures.lock();
         for failure in failures.iter().skip(reported) {
-            bar.suspend(|| terminal::line(&format!("volant: {failure}; it is tried again")));
+            bar.suspend(|| terminal::warn(format!("{failure}; it is tried again")));
         }
         reported = failures.len();
         bar.set_message(format!(
@@ -113,36 +112,33 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     bar.finish_and_clear();
     let report = result?;
     for topic in &report.unpublished {
-        terminal::line(&format!(
-            "volant: {topic} had no publisher; see `ros2 topic list`, and check ROS_DOMAIN_ID"
+        terminal::warn(format!(
+            "{topic} had no publisher; see `ros2 topic list`, and check ROS_DOMAIN_ID"
         ));
     }
     for loss in &report.losses {
-        terminal::line(&format!(
-            "volant: {loss}; the domain was joined again, and messages published meanwhile are \
+        terminal::warn(format!(
+            "{loss}; the domain was joined again, and messages published meanwhile are \
              missing"
         ));
     }
     if report.dropped > 0 {
-        terminal::line(&format!(
-            "volant: {} messages were dropped because the disk did not keep up; try --compression \
-             none or \
+        terminal::warn(format!(
+            "{} messages were dropped because the disk did not keep up; try --compression none or \
              fewer topics",
             report.dropped
         ));
     }
     if report.lost > 0 {
-        terminal::line(&format!(
-            "volant: {} messages were lost in transport; set `sysctl net.core.rmem_max` to 4 MB or \
+        terminal::warn(format!(
+            "{} messages were lost in transport; set `sysctl net.core.rmem_max` to 4 MB or \
              more",
             report.lost
         ));
     }
     let bag = report.bag;
     if bag.messages() == 0 {
-        terminal::line(
-            "volant: no message was recorded; see `ros2 topic list`, and check ROS_DOMAIN_ID",
-        );
+        terminal::warn("no message was recorded; see `ros2 topic list`, and check ROS_DOMAIN_ID");
     }
     outln!(
         "{} messages, {}, in {}",

@@ -11,7 +11,7 @@ use pose_fusion::Model;
 use std::path::{Path, PathBuf};
 use volant::{
     command_line::UsageError,
-    replay::{ReplayOptions, ReplayReport, replay},
+    replay::{ReplayOptions, ReplayReport, decoding_threads, replay},
 };
 
 #[derive(clap::Args)]
@@ -76,11 +76,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         "--smooth requires the error-state filter; add --model tight"
     );
     let model = fusion.model;
-    let workers = arguments
-        .threads
-        .map(usize::from)
-        .unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from))
-        .clamp(1, 64);
+    let workers = arguments.threads.map_or_else(decoding_threads, usize::from).clamp(1, 64);
     let options = ReplayOptions {
         input: arguments.input.clone(),
         tracker,
@@ -99,17 +95,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let result = replay(&options, |read| bar.set_position(read));
     bar.finish_and_clear();
     let report = result.context("replay")?;
-    for loss in &report.losses {
-        terminal::line(&format!("volant: {loss}"));
-    }
-    for warning in report.counts.warning_lines() {
-        terminal::line(&format!("volant: {warning}"));
-    }
+    report.losses.iter().for_each(terminal::warn);
+    report.counts.warning_lines().for_each(terminal::warn);
     for finding in &report.counts.findings {
-        terminal::line(&format!(
-            "volant: rig file: {finding}; find the cause with `{}`",
-            check_command(arguments)
-        ));
+        let check = check_command(arguments);
+        terminal::warn(format!("rig file: {finding}; find the cause with `{check}`"));
     }
     out!("{}", summary(&report, model, workers))?;
     outln!("wrote     {}", arguments.out.display())?;

@@ -3,12 +3,17 @@
 use anyhow::anyhow;
 use indicatif::{ProgressBar, ProgressStyle};
 use node_kit::errln;
-use std::path::Path;
+use std::{fmt::Display, path::Path};
 use volant::command_line::one_line;
 
 /// Prints a message as one line.
 pub fn line(text: &str) {
     errln!("{}", one_line(text));
+}
+
+/// Prints a message of `volant` as one line.
+pub fn warn(text: impl Display) {
+    line(&format!("volant: {text}"));
 }
 
 /// Prints what a recording lacks beside a result, each sentence once; an error names it in its own
@@ -23,7 +28,7 @@ pub fn with_losses<T>(result: anyhow::Result<T>, losses: &[String]) -> anyhow::R
     match result {
         Err(error) if !distinct.is_empty() => Err(anyhow!("{error:#}; {}", distinct.join("; "))),
         result => {
-            distinct.iter().for_each(|loss| line(&format!("volant: {loss}")));
+            distinct.iter().for_each(warn);
             result
         }
     }

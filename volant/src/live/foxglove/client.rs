@@ -1,6 +1,6 @@
 //! A client of the server: its socket and its bounded queue.
 
-use super::protocol::{FromClient, SUBPROTOCOLS, from_client, warning};
+use super::protocol::{FromClient, SUBPROTOCOLS, warning};
 use parking_lot::Mutex;
 use std::{
     collections::HashMap,
@@ -9,7 +9,7 @@ use std::{
     sync::{
         Arc,
         atomic::{AtomicBool, AtomicUsize, Ordering},
-        mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel},
+        mpsc::{Receiver, SyncSender, sync_channel},
     },
     time::Duration,
 };
@@ -33,25 +33,26 @@ const HANDSHAKE: Duration = Duration::from_secs(5);
 /// A client as the server's threads share it.
 pub(super) struct Client {
     queue: SyncSender<Message>,
-    waiting: Arc<AtomicUsize>,
-    dropped: Arc<AtomicUsize>,
+    /// Bytes in the queue.
+    waiting: AtomicUsize,
+    dropped: AtomicUsize,
     /// The client's subscription of each channel.
     pub subscriptions: Mutex<HashMap<u32, u32>>,
     closed: AtomicBool,
 }
 
 impl Client {
-    pub fn new() -> (Arc<Self>, Outgoing) {
+    /// A client, and the receiving end of its queue.
+    pub fn new() -> (Arc<Self>, Receiver<Message>) {
         let (queue, outgoing) = sync_channel(QUEUE);
-        let (waiting, dropped) = (Arc::<AtomicUsize>::default(), Arc::<AtomicUsize>::default());
         let client = Self {
             queue,
-            waiting: Arc::clone(&waiting),
-            dropped: Arc::clone(&dropped),
+            waiting: AtomicUsize::new(0),
+            dropped: AtomicUsize::new(0),
             subscriptions: Mutex::default(),
             closed: AtomicBool::new(false),
         };
-        (Arc::new(client), Outgoing { queue: outgoing, waiting, dropped })
+        (Arc::new(client), outgoing)
     }
 
     /// Queues a message; never blocks.
@@ -79,19 +80,12 @@ impl Client {
     }
 }
 
-/// The receiving end of the queue.
-pub(super) struct Outgoing {
-    queue: Receiver<Message>,
-    waiting: Arc<AtomicUsize>,
-    dropped: Arc<AtomicUsize>,
-}
-
 /// Serves a client until it or the server closes. `hello` is sent first, `handle` receives
 /// requests.
 pub(super) fn serve(
     stream: TcpStream,
     client: &Client,
-    outgoing: &Outgoing,
+    outgoing: &Receiver<Message>,
     hello: Vec<String>,
     mut handle: impl FnMut(FromClient),
 ) -> Result<(), Error> {
@@ -115,27 +109,22 @@ pub(super) fn serve(
     }
     let mut reported = 0;
     while !client.is_closed() {
-        match outgoing.queue.recv_timeout(LOOK) {
-            Ok(message) => {
-                outgoing.waiting.fetch_sub(message.len(), Ordering::AcqRel);
+        // The client has a sender of the queue: an error is the timeout.
+        if let Ok(first) = outgoing.recv_timeout(LOOK) {
+            for message in std::iter::once(first).chain(outgoing.try_iter().take(256)) {
+                client.waiting.fetch_sub(message.len(), Ordering::AcqRel);
                 send(&mut socket, message)?;
-                for message in outgoing.queue.try_iter().take(256) {
-                    outgoing.waiting.fetch_sub(message.len(), Ordering::AcqRel);
-                    send(&mut socket, message)?;
-                }
             }
-            Err(RecvTimeoutError::Timeout) => {}
-            Err(RecvTimeoutError::Disconnected) => break,
         }
         done(socket.flush())?;
         loop {
             match socket.read() {
-                Ok(Message::Text(text)) => match from_client(&text) {
+                Ok(Message::Text(text)) => match serde_json::from_str(&text) {
                     Ok(request) => handle(request),
-                    Err(reason) => send(
-                        &mut socket,
-                        Message::text(warning(&format!("not understood: {reason}"))),
-                    )?,
+                    Err(reason) => {
+                        let text = warning(&format!("not understood: {reason}"));
+                        send(&mut socket, Message::text(text))?;
+                    }
                 },
                 Ok(Message::Close(_)) | Err(Error::ConnectionClosed) => return Ok(()),
                 // Publishing is not offered, and the crate answers pings.
@@ -144,7 +133,7 @@ pub(super) fn serve(
                 Err(error) => return Err(error),
             }
         }
-        let dropped = outgoing.dropped.load(Ordering::Relaxed);
+        let dropped = client.dropped.load(Ordering::Relaxed);
         if dropped >= reported + 100 {
             reported = dropped;
             let text = format!(

@@ -12,9 +12,10 @@ mod client;
 mod protocol;
 
 use super::{
-    LiveError,
     tap::{Offer, Sample, Subscription, Tap},
+    thread_ended,
 };
+use anyhow::{Result, anyhow};
 use client::Client;
 use parking_lot::Mutex;
 use protocol::{Channel, FromClient, advertise, message_data, server_info, unadvertise, warning};
@@ -70,8 +71,10 @@ impl Foxglove {
     ///
     /// # Errors
     /// The address is not available, or the domain cannot be joined.
-    pub fn start(address: SocketAddr) -> Result<Self, LiveError> {
-        let failed = |source| LiveError::Address { address, source };
+    pub fn start(address: SocketAddr) -> Result<Self> {
+        let failed = |source: std::io::Error| {
+            anyhow!("{address}: {source}; is another server there? Give another address or port")
+        };
         let listener = TcpListener::bind(address).map_err(failed)?;
         listener.set_nonblocking(true).map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
@@ -83,7 +86,7 @@ impl Foxglove {
                 let stop = Arc::clone(&stop);
                 move || run(&listener, tap, &stop)
             })
-            .map_err(|_| LiveError::Thread { what: "the thread of the Foxglove server" })?;
+            .map_err(|_| thread_ended("the thread of the Foxglove server"))?;
         Ok(Self { address, stop, thread: Some(thread) })
     }
 
@@ -250,24 +253,16 @@ fn handle_request(shared: &Shared, client: &Client, request: FromClient) {
     match request {
         FromClient::Subscribe { subscriptions } => {
             for subscribe in subscriptions {
-                let mut latest: Vec<Arc<Sample>> = vec![];
-                {
+                let latest: Vec<Arc<Sample>> = {
                     // Locked over both, so that a latched message is sent once.
                     let latched = shared.latched.lock();
                     client.subscriptions.lock().insert(subscribe.channel_id, subscribe.id);
-                    latest.extend(
-                        latched
-                            .iter()
-                            .filter(|((id, _), _)| *id == subscribe.channel_id)
-                            .map(|(_, s)| Arc::clone(s)),
-                    );
-                }
+                    let of_channel =
+                        latched.iter().filter(|((id, _), _)| *id == subscribe.channel_id);
+                    of_channel.map(|(_, sample)| Arc::clone(sample)).collect()
+                };
                 for sample in latest {
-                    client.send(Message::binary(message_data(
-                        subscribe.id,
-                        sample.log_time,
-                        &sample.data,
-                    )));
+                    client.send(binary(subscribe.id, &sample));
                 }
             }
         }
@@ -310,9 +305,13 @@ fn give(shared: &Shared, channel: u32, latched: bool, sample: Sample) {
     }
     for client in shared.clients.lock().iter() {
         if let Some(subscription) = client.subscription(channel) {
-            client.send(Message::binary(message_data(subscription, sample.log_time, &sample.data)));
+            client.send(binary(subscription, &sample));
         }
     }
+}
+
+fn binary(subscription: u32, sample: &Sample) -> Message {
+    Message::binary(message_data(subscription, sample.log_time, &sample.data))
 }
 
 #[cfg(test)]
@@ -323,13 +322,16 @@ mod tests {
     #[test]
     fn an_address_a_port_or_both() {
         let host = IpAddr::V4(Ipv4Addr::LOCALHOST);
-        let show = |text| serve_at(text, host).map(|a| a.to_string());
-        assert_eq!(show("").as_deref(), Some("127.0.0.1:8765"));
-        assert_eq!(show("9000").as_deref(), Some("127.0.0.1:9000"));
-        assert_eq!(show("10.0.0.1").as_deref(), Some("10.0.0.1:8765"));
-        assert_eq!(show("10.0.0.1:1").as_deref(), Some("10.0.0.1:1"));
-        assert_eq!(show("::1").as_deref(), Some("[::1]:8765"));
-        assert_eq!(show("70000"), None);
-        assert_eq!(show("here"), None);
+        for (text, address) in [
+            ("", Some("127.0.0.1:8765")),
+            ("9000", Some("127.0.0.1:9000")),
+            ("10.0.0.1", Some("10.0.0.1:8765")),
+            ("10.0.0.1:1", Some("10.0.0.1:1")),
+            ("::1", Some("[::1]:8765")),
+            ("70000", None),
+            ("here", None),
+        ] {
+            assert_eq!(serve_at(text, host).map(|a| a.to_string()).as_deref(), address, "{text}");
+        }
     }
 }

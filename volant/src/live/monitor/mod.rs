@@ -10,9 +10,10 @@ mod state;
 pub use snapshot::{Flow, InputLine, PoseState, RigState, Snapshot, TopicLine};
 
 use super::{
-    LiveError, system_nanos,
+    system_nanos,
     tap::{Sample, Subscription, Tap},
 };
+use anyhow::Result;
 use node_kit::environment::{DiscoveryRange, Network};
 use parking_lot::Mutex;
 use rig_model::topics;
@@ -23,23 +24,14 @@ use volant_msgs::diagnostic_msgs::msg::DiagnosticStatus;
 /// Name of the node.
 const NODE: &str = "_volant_monitor";
 
-/// Which topics are watched.
-#[derive(Clone, Debug, Default)]
-pub struct WatchOptions {
-    /// Only topics under this namespace, and those of the whole graph (`/diagnostics`, `/tf`);
-    /// empty: all.
-    pub namespace: String,
-    /// Whether to subscribe to images too, which adds network load.
-    pub images: bool,
-}
-
 /// Subscriptions to live topics, and what they received.
 pub struct Watch {
     // Dropped before their tap.
     subscriptions: BTreeMap<String, Subscription>,
     tap: Tap,
     monitor: Arc<Mutex<Monitor>>,
-    options: WatchOptions,
+    namespace: String,
+    images: bool,
     /// [`Snapshot::place`].
     place: String,
     /// Whether the DDS domain must be joined again.
@@ -49,25 +41,28 @@ pub struct Watch {
 }
 
 impl Watch {
-    /// Joins the domain that the environment names.
+    /// Joins the domain that the environment names, and watches the topics under a namespace and
+    /// those of the whole graph (`/diagnostics`, `/tf`); empty: all. Subscribing to `images` adds
+    /// network load.
     ///
     /// # Errors
     /// A variable of the environment is invalid, or the domain cannot be joined.
-    pub fn start(options: WatchOptions) -> Result<Self, LiveError> {
+    pub fn start(namespace: &str, images: bool) -> Result<Self> {
         let network = Network::from_environment()?;
         let range = match network.range {
             DiscoveryRange::Localhost => "this host alone",
             DiscoveryRange::Subnet => "the local network",
         };
         let mut place = format!("DDS domain {} on {range}", network.domain_id);
-        if !options.namespace.is_empty() {
-            place += &format!(" in the namespace {}", options.namespace);
+        if !namespace.is_empty() {
+            place += &format!(" in the namespace {namespace}");
         }
         Ok(Self {
             subscriptions: BTreeMap::new(),
             tap: Tap::join(NODE)?,
             monitor: Arc::default(),
-            options,
+            namespace: namespace.trim_matches('/').to_owned(),
+            images,
             place,
             lost: false,
             failure: None,
@@ -80,7 +75,7 @@ impl Watch {
         self.failure = self.try_poll().err().map(|error| error.to_string());
     }
 
-    fn try_poll(&mut self) -> Result<(), LiveError> {
+    fn try_poll(&mut self) -> Result<()> {
         self.lost |= self.tap.loss().is_some();
         if self.lost {
             self.subscriptions.clear();
@@ -97,7 +92,7 @@ impl Watch {
             let image =
                 matches!(&**type_name, "sensor_msgs/msg/Image" | "sensor_msgs/msg/CompressedImage");
             let known = !offer.topic.definition.is_empty();
-            let subscribed = known && (!image || self.options.images);
+            let subscribed = known && (!image || self.images);
             self.monitor.lock().discover(offer, subscribed);
             if subscribed && !self.subscriptions.contains_key(name) {
                 let (monitor, topic) = (Arc::clone(&self.monitor), offer.topic.clone());
@@ -132,13 +127,12 @@ impl Watch {
     }
 
     fn concerns(&self, topic: &str) -> bool {
-        let namespace = self.options.namespace.trim_matches('/');
         let plumbing =
             [topics::absolute::PARAMETER_EVENTS, topics::absolute::ROSOUT, "/transition_event"]
                 .iter()
                 .any(|t| topic.ends_with(t));
         !plumbing
-            && (namespace.is_empty()
+            && (self.namespace.is_empty()
                 || [
                     topics::absolute::DIAGNOSTICS,
                     topics::absolute::TF,
@@ -148,7 +142,7 @@ impl Watch {
                 .contains(&topic)
                 || topic
                     .strip_prefix('/')
-                    .and_then(|t| t.strip_prefix(namespace))
+                    .and_then(|t| t.strip_prefix(&self.namespace))
                     .is_some_and(|t| t.starts_with('/')))
     }
 }

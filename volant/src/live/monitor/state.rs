@@ -4,7 +4,7 @@ use super::snapshot::{Flow, InputLine, PoseState, RigState, Snapshot, TopicLine}
 use crate::live::tap::{Offer, Sample};
 use bag::Topic;
 use node_kit::convert;
-use rig_model::topics;
+use rig_model::topics::absolute;
 use std::collections::{BTreeMap, VecDeque};
 use volant_msgs::{
     Message, cdr,
@@ -74,8 +74,7 @@ impl Monitor {
         let at = sample.log_time;
         match &*topic.type_name {
             Odometry::TYPE_NAME => {
-                let received = self.rig::<Odometry>(topic, topics::absolute::ODOMETRY, sample);
-                if let Some((rig, m)) = received {
+                if let Some((rig, m)) = self.rig::<Odometry>(topic, absolute::ODOMETRY, sample) {
                     let norm = |v: &Vector3| v.x.hypot(v.y).hypot(v.z);
                     let twist = &m.twist.twist;
                     let speed = [norm(&twist.linear), norm(&twist.angular).to_degrees()];
@@ -85,23 +84,20 @@ impl Monitor {
                 }
             }
             PoseWithCovarianceStamped::TYPE_NAME => {
-                let topic_name = topics::absolute::VISUAL_POSE;
-                let received = self.rig::<PoseWithCovarianceStamped>(topic, topic_name, sample);
-                if let Some((rig, m)) = received {
-                    let pose = convert::pose(&m.pose.pose, "visual_pose").ok();
-                    rig.visual = pose.map(|p| PoseState::new(at, &p, &m.pose.covariance, None));
+                let received = self.rig(topic, absolute::VISUAL_POSE, sample);
+                if let Some((rig, PoseWithCovarianceStamped { pose: m, .. })) = received {
+                    let pose = convert::pose(&m.pose, "visual_pose").ok();
+                    rig.visual = pose.map(|p| PoseState::new(at, &p, &m.covariance, None));
                 }
             }
             MarkerObservations::TYPE_NAME => {
-                let received =
-                    self.rig::<MarkerObservations>(topic, topics::absolute::MARKERS, sample);
-                if let Some((rig, m)) = received {
-                    (rig.markers, rig.markers_at) = (m.markers, at);
+                let received = self.rig(topic, absolute::MARKERS, sample);
+                if let Some((rig, MarkerObservations { markers, .. })) = received {
+                    (rig.markers, rig.markers_at) = (markers, at);
                 }
             }
             PoseStatus::TYPE_NAME => {
-                let received = self.rig(topic, topics::absolute::STATUS, sample);
-                if let Some((rig, status)) = received {
+                if let Some((rig, status)) = self.rig(topic, absolute::STATUS, sample) {
                     rig.status = Some((at, status));
                 }
             }
@@ -288,7 +284,7 @@ mod tests {
         // Three seconds later it is silent.
         assert_eq!(monitor.snapshot(now + 3 * SECOND).topics[0].flow.unwrap().rate, Some(0.0));
         // Two latched messages have no rate.
-        let latched = Topic::of::<TFMessage>(topics::absolute::TF_STATIC, &Qos::LATCHED);
+        let latched = Topic::of::<TFMessage>(absolute::TF_STATIC, &Qos::LATCHED);
         monitor.discover(&offer(&latched, Qos::LATCHED), true);
         for at in [now, now + 30_000] {
             monitor.add(&latched, &sample(at, 0, &TFMessage::default()));
@@ -304,7 +300,7 @@ mod tests {
 
     #[test]
     fn a_stamp_of_another_clock_is_no_delay() {
-        let topic = Topic::of::<Odometry>(topics::absolute::ODOMETRY, &Qos::RELIABLE);
+        let topic = Topic::of::<Odometry>(absolute::ODOMETRY, &Qos::RELIABLE);
         let mut monitor = Monitor::default();
         monitor.add(&topic, &sample(100_000 * SECOND, 0, &Odometry::default()));
         assert_eq!(monitor.snapshot(100_000 * SECOND).topics[0].flow.unwrap().delay, None);
@@ -312,7 +308,7 @@ mod tests {
 
     #[test]
     fn diagnostics_are_sorted_and_go_stale() {
-        let topic = Topic::of::<DiagnosticArray>(topics::absolute::DIAGNOSTICS, &Qos::RELIABLE);
+        let topic = Topic::of::<DiagnosticArray>(absolute::DIAGNOSTICS, &Qos::RELIABLE);
         let pair = |key: &str, value: &str| KeyValue { key: key.into(), value: value.into() };
         let status = |name: &str, level| DiagnosticStatus {
             level,
@@ -355,7 +351,7 @@ mod tests {
 
     #[test]
     fn undecodable_messages_are_only_counted() {
-        let topic = Topic::of::<MarkerObservations>(topics::absolute::MARKERS, &Qos::RELIABLE);
+        let topic = Topic::of::<MarkerObservations>(absolute::MARKERS, &Qos::RELIABLE);
         let mut monitor = Monitor::default();
         for data in
             [vec![], vec![0, 1, 0, 0], vec![0, 1, 0, 0, 255, 255, 255, 255, 255], vec![0xff; 40]]

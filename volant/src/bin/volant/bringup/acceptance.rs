@@ -6,7 +6,7 @@ use bag::{BagReader, Compression};
 use node_kit::outln;
 use rig_model::topics;
 use std::process::Command;
-use volant::replay::{ReplayOptions, TopicNames, replay};
+use volant::replay::{ReplayOptions, TopicNames, decoding_threads, replay};
 use volant_msgs::{
     cdr,
     msg::{MarkerUpdate, MarkerUpdates, PoseStatus},
@@ -31,7 +31,7 @@ pub fn acceptance(walk: &mut Walk) -> Result<()> {
         fusion: settings.fusion,
         names: TopicNames::new("", &[]),
         compression: Compression::default(),
-        workers: std::thread::available_parallelism().map_or(1, usize::from),
+        workers: decoding_threads(),
         smooth: false,
     };
     let report = replay(&options, |_| {})?;

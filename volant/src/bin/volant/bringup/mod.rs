@@ -196,10 +196,7 @@ fn record(path: &Path, topics: &[&str], seconds: f64) -> Result<()> {
     Ok(())
 }
 
-/// Runs the command.
-///
-/// # Errors
-/// See the messages, which name the remedy; a failed step at the end or before a pause.
+/// Runs the command; a failed step is an error at the end or before a pause.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let beside = |suffix: &str| {
         let mut name = arguments.rig.as_os_str().to_owned();

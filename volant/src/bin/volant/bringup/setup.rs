@@ -12,7 +12,7 @@ use rig_calibration::allan::Sensor;
 use rig_model::{MarkerColor, topics};
 use ros_parameters::ParameterFile;
 use std::{path::Path, process::Command};
-use volant::parameter_update::{Destination, RIG, Setting, list, number, update};
+use volant::parameter_update::{RIG, Setting, list, number, update};
 
 /// Rig file of a common rig.
 const TEMPLATE: &str = include_str!("../../../../../launch_config/config/rig.yaml");
@@ -52,12 +52,12 @@ pub fn complete(path: &Path) -> Result<()> {
         .filter(|(name, _)| !present.contains_key(name))
         .map(|(name, value)| Setting::rig(name, value))
         .collect();
-    update(path, &Destination::default(), &missing).map(drop)
+    update(path, None, false, &missing).map(drop)
 }
 
 /// Writes settings of the rig file.
 pub fn set(walk: &Walk, settings: &[Setting]) -> Result<()> {
-    update(&walk.rig, &Destination::default(), settings).map(drop)
+    update(&walk.rig, None, false, settings).map(drop)
 }
 
 /// The lengths that a tape measures, and the sheets.

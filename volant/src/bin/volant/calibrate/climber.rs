@@ -75,9 +75,6 @@ fn position(text: &str) -> Result<Vector3<f64>, String> {
 }
 
 /// Runs the command; returns what it found.
-///
-/// # Errors
-/// See the messages, which name the remedy.
 pub fn run(arguments: &Arguments) -> Result<ClimberCalibration> {
     if arguments.params_file.is_some() && arguments.camera && arguments.output.out.is_some() {
         let text = "--camera changes the rig file and --params-file another one: leave --out out, \
@@ -88,7 +85,7 @@ pub fn run(arguments: &Arguments) -> Result<ClimberCalibration> {
     let file = arguments.params_file.as_ref().unwrap_or(&arguments.rig);
     let shown = file.display();
     let inputs = [&arguments.rig, file].into_iter().chain(&arguments.bag);
-    arguments.output.check(&inputs.map(PathBuf::as_path).collect::<Vec<_>>())?;
+    arguments.output.check(None, &inputs.map(PathBuf::as_path).collect::<Vec<_>>())?;
     let text =
         node_kit::files::read_text(file).with_context(|| format!("{shown}: not readable"))?;
     // The update rejects an invalid file; one of comments only is a valid start.

@@ -60,7 +60,7 @@ fn pick(text: &str) -> Result<(MarkerColor, Vector2<f64>), String> {
 
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let inputs = arguments.rig.as_deref().into_iter().chain([Path::new(&arguments.source)]);
-    arguments.output.check(&inputs.collect::<Vec<_>>())?;
+    arguments.output.check(None, &inputs.collect::<Vec<_>>())?;
     let mut losses = vec![];
     let settings = terminal::with_losses(measure(arguments, &mut losses), &losses)?;
     match (&arguments.rig, &arguments.output.out) {
@@ -217,10 +217,7 @@ fn topic(
     calibration: &mut ColorCalibration,
     losses: &mut Vec<String>,
 ) -> anyhow::Result<()> {
-    let name = match arguments.source.strip_prefix('/') {
-        Some(_) => arguments.source.clone(),
-        None => format!("/{}", arguments.source),
-    };
+    let name = TopicNames::default().resolve(&arguments.source);
     let topics = vec![name.clone(), camera_info(&name)];
     let recorded = super::live::record(topics, arguments.duration)?;
     if recorded.unpublished.contains(&name) {

@@ -33,13 +33,10 @@ pub struct Arguments {
 }
 
 /// Runs the command; returns what it found.
-///
-/// # Errors
-/// See the messages, which name the remedy.
 pub fn run(arguments: &Arguments) -> Result<ImuNoise> {
     super::read_rig(&arguments.rig)?;
     let inputs: [&Path; 2] = [&arguments.rig, &arguments.bag];
-    arguments.output.check_with(arguments.plot.as_deref(), &inputs)?;
+    arguments.output.check(arguments.plot.as_deref(), &inputs)?;
     let mut losses = vec![];
     let noise =
         read(&arguments.bag, arguments.topic.as_deref(), &mut losses).and_then(|mut samples| {

@@ -44,9 +44,7 @@ pub fn record(topics: Vec<String>, seconds: f64) -> anyhow::Result<Recorded> {
     };
     let stop = node_kit::console::stop_flag()?;
     let report = record::record(&options, &stop, |_| {})?;
-    for failure in &report.failures {
-        terminal::line(&format!("volant: {failure}"));
-    }
+    report.failures.iter().for_each(terminal::warn);
     recorded.unpublished = report.unpublished;
     Ok(recorded)
 }

@@ -13,7 +13,7 @@ use std::{
     ffi::OsString,
     path::{Path, PathBuf},
 };
-use volant::parameter_update::{Destination, Setting, update};
+use volant::parameter_update::{Setting, update};
 
 /// Calibrate the rig: each command updates the rig or parameter file in place, keeps every other
 /// key and comment, and leaves the former file as FILE.bak (.bak1, … where that exists)
@@ -56,22 +56,16 @@ pub struct Output {
 }
 
 impl Output {
-    /// Fails before the work where the result could not be written after it; `inputs` are never
-    /// replaced.
-    pub fn check(&self, inputs: &[&Path]) -> anyhow::Result<()> {
-        self.check_with(None, inputs)
-    }
-
-    /// The same with a further output.
-    pub fn check_with(&self, further: Option<&Path>, inputs: &[&Path]) -> anyhow::Result<()> {
+    /// Fails before the work where the result, or a further output, could not be written after it;
+    /// `inputs` are never replaced.
+    pub fn check(&self, further: Option<&Path>, inputs: &[&Path]) -> anyhow::Result<()> {
         let outputs: Vec<&Path> = further.into_iter().chain(self.out.as_deref()).collect();
         Ok(node_kit::files::check_outputs(&outputs, self.overwrite, inputs)?)
     }
 
     /// Changes parameters of a file and reports what was written.
     pub fn update(&self, file: &Path, settings: &[Setting]) -> anyhow::Result<()> {
-        let destination = Destination { out: self.out.as_deref(), overwrite: self.overwrite };
-        let update = update(file, &destination, settings)?;
+        let update = update(file, self.out.as_deref(), self.overwrite, settings)?;
         let path = update.path.display();
         terminal::line(&match (update.backup, update.changed.as_slice()) {
             (_, []) => format!("{path}: has these values already"),
@@ -91,10 +85,6 @@ pub fn is_here(words: &[OsString]) -> bool {
     words.first().is_some_and(|w| w == "calibrate") && words.get(1).is_none_or(|w| w != "camera")
 }
 
-/// Runs a command.
-///
-/// # Errors
-/// See the messages, which name the remedy.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     match &arguments.action {
         // A signal ends the recording of live topics.

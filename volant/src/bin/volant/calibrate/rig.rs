@@ -33,11 +33,8 @@ pub struct Arguments {
 }
 
 /// Runs the command; returns what it found.
-///
-/// # Errors
-/// See the messages, which name the remedy.
 pub fn run(arguments: &Arguments) -> Result<Estimate> {
-    arguments.output.check(&[&arguments.rig, &arguments.bag])?;
+    arguments.output.check(None, &[&arguments.rig, &arguments.bag])?;
     let namespace = &arguments.topics.namespace;
     let Settings { rig, tracker, climber, .. } = settings::read(&arguments.rig, &[], namespace)?;
     let cores = Cores { tracker, climber, names: arguments.topics.names() };
