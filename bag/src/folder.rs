@@ -24,51 +24,112 @@ pub fn files_named_by(metadata: &str) -> Result<Vec<String>, String> {
     }
 }
 
-/// Returns the files of a bag that may be damaged: of a folder every MCAP file in it by its number,
-/// and then the files that only its `metadata.yaml` names, which may be missing.
+/// Returns the files of a bag that may be damaged, and a sentence on each file of its folder that
+/// is left out, or that its `metadata.yaml` does not name.
+///
+/// Of a folder these are the files that its `metadata.yaml` names, which may be missing, and
+/// further ones of the same recording (`NAME_12.mcap`): a recorder that died has left the list
+/// incomplete. Without a list of which a file is there, these are all files with such a name, and
+/// where none has one, all MCAP files.
 ///
 /// # Errors
-/// The folder is unreadable, or has no such file.
-pub fn files_to_recover(path: &Path) -> Result<Vec<PathBuf>, BagError> {
+/// The folder is unreadable, has no such file, or is of another storage or compression.
+pub fn files_to_recover(path: &Path) -> Result<(Vec<PathBuf>, Vec<String>), BagError> {
     if !path.is_dir() {
-        return Ok(vec![path.to_owned()]);
+        return Ok((vec![path.to_owned()], vec![]));
     }
+    let text = metadata_text(&path.join("metadata.yaml")).ok();
+    let folder = text.and_then(|text| Folder::parse(&text).ok());
+    // Text that was cut off may lack the storage, which then says nothing.
+    let folder = folder.filter(|folder| !folder.storage_identifier.is_empty());
+    if let Some((what, remedy)) = folder.as_ref().and_then(not_ours) {
+        return Err(BagError::Foreign { path: path.to_owned(), what, remedy });
+    }
+    let names = folder.and_then(|folder| own_files(folder).ok()).unwrap_or_default();
+    let named = names.iter().map(|name| path.join(name)).collect();
     let error = |source| io_error(path, source);
-    let is_mcap = |file: &Path| {
-        let name = file.to_string_lossy();
-        [".mcap", ".mcap.zstd", ".mcap.zst"].into_iter().any(|ending| name.ends_with(ending))
-    };
-    let mut files = vec![];
+    let mut found = vec![];
     for entry in fs::read_dir(path).map_err(error)? {
         let file = entry.map_err(error)?.path();
         if is_mcap(&file) {
-            files.push(file);
+            found.push(file);
         }
     }
-    files.sort_by_key(|file| (number_of(file), file.clone()));
-    let mut known: BTreeSet<PathBuf> = files.iter().cloned().collect();
-    let named = metadata_text(&path.join("metadata.yaml")).ok().map(|text| files_named_by(&text));
-    for name in named.into_iter().flatten().flatten() {
-        let file = path.join(name);
-        if known.insert(file.clone()) {
-            files.push(file);
-        }
+    found.sort_by_cached_key(|file| (split(file).map_or(0, |(_, number)| number), file.clone()));
+    let (files, notes) = files_of_recording(found, named);
+    if files.is_empty() {
+        let reason = "the folder holds no .mcap file; give another one";
+        return Err(BagError::unusable(path, reason));
     }
-    if !files.is_empty() {
-        return Ok(files);
-    }
-    match files_of(path) {
-        Err(foreign @ BagError::Foreign { .. }) => Err(foreign),
-        _ => Err(BagError::unusable(path, "the folder holds no .mcap file; give another one")),
-    }
+    Ok((files, notes))
 }
 
-/// Number of a split recording's file: `name_12.mcap` → 12, so that 10 comes after 9.
-fn number_of(path: &Path) -> u64 {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let stem = name.split(".mcap").next().unwrap_or_default();
-    let digits = stem.rsplit(|c: char| !c.is_ascii_digit()).next().unwrap_or_default();
-    digits.parse().unwrap_or(0)
+/// Returns the files of the recording among those that a folder holds, then those that only its
+/// list names, and a sentence on each file that is left out or not in the list.
+fn files_of_recording(found: Vec<PathBuf>, named: Vec<PathBuf>) -> (Vec<PathBuf>, Vec<String>) {
+    let listed: BTreeSet<PathBuf> = named.iter().map(|file| uncompressed(file)).collect();
+    let is_listed = |file: &PathBuf| listed.contains(&uncompressed(file));
+    let has_list = found.iter().any(is_listed) || named.iter().any(|file| file.exists());
+    let splits = named.iter().filter_map(|file| split(file));
+    let recordings: BTreeSet<String> = splits.map(|(recording, _)| recording).collect();
+    let has_splits = found.iter().any(|file| split(file).is_some());
+    let present: BTreeSet<PathBuf> = found.iter().cloned().collect();
+    let (mut files, mut notes) = (vec![], vec![]);
+    for file in found {
+        let (plain, shown) = (uncompressed(&file), file.display());
+        let belongs = match split(&file) {
+            _ if listed.contains(&plain) => true,
+            Some((recording, _)) => !has_list || recordings.contains(&recording),
+            // Such as the bag that an earlier recovery wrote into the folder.
+            None => !has_list && !has_splits,
+        };
+        // A recorder that died while it compressed a file has left both.
+        if plain != file && present.contains(&plain) {
+            notes.push(format!(
+                "{shown}: left out, since it is {} compressed; to read it too, give it beside the \
+                 folder",
+                plain.display()
+            ));
+        } else if belongs {
+            if has_list && !listed.contains(&plain) {
+                notes.push(format!(
+                    "{shown}: not in metadata.yaml; read, since its name is that of a further file \
+                     of this recording"
+                ));
+            }
+            files.push(file);
+        } else {
+            notes.push(format!(
+                "{shown}: left out, since its name is not that of a file of this recording; to \
+                 read it too, give it beside the folder"
+            ));
+        }
+    }
+    let mut known: BTreeSet<PathBuf> = files.iter().map(|file| uncompressed(file)).collect();
+    files.extend(named.into_iter().filter(|file| known.insert(uncompressed(file))));
+    (files, notes)
+}
+
+/// Endings of the names of MCAP files.
+const ENDINGS: [&str; 3] = [".mcap", ".mcap.zstd", ".mcap.zst"];
+
+fn is_mcap(file: &Path) -> bool {
+    let name = file.to_string_lossy();
+    ENDINGS.into_iter().any(|ending| name.ends_with(ending))
+}
+
+/// Path of a file before its compression: `run_3.mcap.zstd` → `run_3.mcap`.
+fn uncompressed(file: &Path) -> PathBuf {
+    let is_compressed = file.extension().is_some_and(|ending| ending != "mcap");
+    if is_compressed { file.with_extension("") } else { file.to_owned() }
+}
+
+/// Name of a split recording, and the number of one of its files: `run_12.mcap` → (`run`, 12).
+fn split(file: &Path) -> Option<(String, u64)> {
+    let name = file.file_name()?.to_string_lossy().into_owned();
+    let stem = ENDINGS.into_iter().find_map(|ending| name.strip_suffix(ending))?;
+    let (recording, number) = stem.rsplit_once('_')?;
+    Some((recording.to_owned(), number.parse().ok()?))
 }
 
 /// The `.mcap` files of a bag in their order.
@@ -172,24 +233,71 @@ mod tests {
         assert_eq!(files_of(dir.path()).unwrap().len(), 70_000);
     }
 
-    #[test]
-    fn every_file_of_a_folder_is_recovered_whatever_its_metadata_says() {
+    /// Names of the files to recover, and of those with a sentence of their own.
+    fn recovered(folder: &Path) -> [Vec<String>; 2] {
+        let (files, notes) = files_to_recover(folder).unwrap();
+        let name = |file: &Path| file.strip_prefix(folder).unwrap().display().to_string();
+        let noted = notes.iter().map(|note| name(Path::new(note.split(": ").next().unwrap())));
+        [files.iter().map(|file| name(file)).collect(), noted.collect()]
+    }
+
+    fn folder_with(names: &[&str]) -> tempfile::TempDir {
         let dir = tempfile::tempdir().unwrap();
-        let names = || {
-            let files = files_to_recover(dir.path()).unwrap();
-            let relative = files.iter().map(|f| f.strip_prefix(dir.path()).unwrap());
-            relative.map(|f| f.display().to_string()).collect::<Vec<_>>()
-        };
-        let error = files_to_recover(dir.path()).unwrap_err().to_string();
-        assert!(error.contains("holds no .mcap file"), "{error}");
-        for name in ["run_10.mcap", "run_9.mcap.zstd", "notes.txt"] {
+        for name in names {
             fs::write(dir.path().join(name), "").unwrap();
         }
-        assert_eq!(names(), ["run_9.mcap.zstd", "run_10.mcap"]);
-        let text = format!("{HEAD}    - ./run_10.mcap\n    - gone.mcap\n");
+        dir
+    }
+
+    #[test]
+    fn every_file_of_a_recording_is_recovered_whatever_its_metadata_says() {
+        let dir = folder_with(&[]);
+        let error = files_to_recover(dir.path()).unwrap_err().to_string();
+        assert!(error.contains("holds no .mcap file"), "{error}");
+        let dir = folder_with(&["run_10.mcap", "run_9.mcap.zstd", "notes.txt"]);
+        let metadata = |text: &str| fs::write(dir.path().join("metadata.yaml"), text).unwrap();
+        let [files, notes] = recovered(dir.path());
+        assert_eq!(files, ["run_9.mcap.zstd", "run_10.mcap"]);
+        assert!(notes.is_empty(), "{notes:?}");
+        metadata(&format!("{HEAD}    - ./run_10.mcap\n    - gone.mcap\n"));
+        let [files, notes] = recovered(dir.path());
+        assert_eq!(files, ["run_9.mcap.zstd", "run_10.mcap", "gone.mcap"]);
+        assert_eq!(notes, ["run_9.mcap.zstd"]);
+        // A list that was cut off, and one of files that have other names now.
+        for text in ["{", "rosbag2_bagfile_information:\n  version: 9\n"] {
+            metadata(text);
+            assert_eq!(recovered(dir.path())[0], ["run_9.mcap.zstd", "run_10.mcap"], "{text}");
+        }
+        metadata(&format!("{HEAD}    - old_0.mcap\n"));
+        let files = ["run_9.mcap.zstd", "run_10.mcap", "old_0.mcap"];
+        assert_eq!(recovered(dir.path())[0], files);
+        let dir = folder_with(&["b.mcap", "a.mcap"]);
+        assert_eq!(recovered(dir.path())[0], ["a.mcap", "b.mcap"]);
+    }
+
+    #[test]
+    fn no_message_of_a_folder_is_recovered_twice() {
+        let names =
+            ["run_2.mcap", "run_3.mcap", "run_3.mcap.zstd", "run_4.mcap.zstd", "fixed.mcap"];
+        let dir = folder_with(&names);
+        let files = ["run_2.mcap", "run_3.mcap", "run_4.mcap.zstd"];
+        let [found, left_out] = recovered(dir.path());
+        assert_eq!(found, files);
+        assert_eq!(left_out, ["fixed.mcap", "run_3.mcap.zstd"]);
+        let text = format!("{HEAD}    - run_2.mcap\n    - run_3.mcap.zstd\n    - run_4.mcap\n");
         fs::write(dir.path().join("metadata.yaml"), text).unwrap();
-        assert_eq!(names(), ["run_9.mcap.zstd", "run_10.mcap", "gone.mcap"]);
-        fs::write(dir.path().join("metadata.yaml"), "{").unwrap();
-        assert_eq!(names(), ["run_9.mcap.zstd", "run_10.mcap"]);
+        let [found, left_out] = recovered(dir.path());
+        assert_eq!(found, files);
+        assert_eq!(left_out, ["fixed.mcap", "run_3.mcap.zstd"]);
+    }
+
+    #[test]
+    fn a_folder_with_compressed_messages_is_foreign_although_it_has_an_mcap_file() {
+        let dir = folder_with(&["run_0.mcap"]);
+        let compression = "  compression_format: zstd\n  compression_mode: MESSAGE\n";
+        let text = format!("{HEAD}    - run_0.mcap\n{compression}");
+        fs::write(dir.path().join("metadata.yaml"), text).unwrap();
+        let error = files_to_recover(dir.path()).unwrap_err().to_string();
+        assert!(error.contains("one by one") && error.contains("ros2 bag convert"), "{error}");
     }
 }

@@ -54,7 +54,7 @@ struct Candidate {
     last: Accepted,
     /// Number of the latest ones that are consistent with each other.
     consistent: u32,
-    /// Time from the last accepted reading to the first of these, s.
+    /// Time from the last accepted reading to the jump, s; infinite if only the stamps are wrong.
     after: f64,
 }
 
@@ -66,6 +66,8 @@ pub struct Climber {
     last_received: Option<Stamp>,
     last_accepted_at: Option<Stamp>,
     candidate: Option<Candidate>,
+    /// Usual time between two accepted readings, s.
+    interval: Option<f64>,
     counts: Counts,
     outputs: VecDeque<Output>,
 }
@@ -75,8 +77,12 @@ const CLOCK_STEP: f64 = 1.0;
 /// Messages without a configured joint before a warning: another publisher on the topic may be the
 /// first.
 const FOREIGN_PATIENCE: u64 = 10;
+/// Kind of the rejection of messages without a configured joint.
+const OTHER_JOINTS: &str = "other joints";
 /// Largest number of joint names in a warning: a message may have hundreds.
 const MOST_NAMES: usize = 8;
+/// Longest gap after a jump, usual intervals: after a longer one the climber may have moved as far.
+const LONGEST_GAP: f64 = 5.0;
 
 impl Climber {
     /// Creates the core in its initial state.
@@ -91,6 +97,7 @@ impl Climber {
             last_received: None,
             last_accepted_at: None,
             candidate: None,
+            interval: None,
             counts: Counts::default(),
             outputs: VecDeque::new(),
         })
@@ -126,12 +133,21 @@ impl Climber {
         match self.examine(reading, received) {
             Ok(None) => {
                 self.counts.foreign += 1;
-                if self.counts.accepted == 0 && self.counts.foreign >= FOREIGN_PATIENCE {
+                let Counts { accepted, foreign, rejected } = &self.counts;
+                // Why readings of the climber are rejected is more specific.
+                let others_only = rejected.keys().all(|kind| *kind == OTHER_JOINTS);
+                if *accepted == 0 && others_only && *foreign >= FOREIGN_PATIENCE {
                     self.reject(self.other_joints(reading));
                 }
             }
             Ok(Some(accepted)) => {
                 self.counts.accepted += 1;
+                if let Some(last) = self.last {
+                    let interval = accepted.stamp.seconds_since(last.stamp);
+                    let usual = self.interval.unwrap_or(interval);
+                    // A gap counts as two intervals.
+                    self.interval = Some(usual + 0.1 * (interval.min(2.0 * usual) - usual));
+                }
                 self.last = Some(accepted);
                 self.last_accepted_at = Some(received);
                 self.candidate = None;
@@ -176,7 +192,7 @@ impl Climber {
             "the messages have {found}, but none of {configured}; set the parameters \
              joints.rail_x, joints.rail_y and joints.turn to the names in the messages"
         );
-        Rejection { kind: "other joints", text }
+        Rejection { kind: OTHER_JOINTS, text }
     }
 
     /// Checks a reading; `Ok(None)` if it contains none of the configured joints.
@@ -265,22 +281,22 @@ impl Climber {
         }
     }
 
-    /// Returns the first axis that moved faster than its speed limit, if the change took `seconds`.
+    /// Describes the first axis that moved faster than its speed limit, if the change took
+    /// `seconds`.
     ///
     /// Each reading has a standard deviation of `uncertainty`; the limit allows for three standard
     /// deviations of their difference.
-    fn jump(&self, before: &Accepted, after: &Accepted, seconds: f64) -> Option<Rejection> {
+    fn jump(&self, before: &Accepted, after: &Accepted, seconds: f64) -> Option<String> {
         Axis::ALL.into_iter().zip(&self.config.joints).enumerate().find_map(|(i, (axis, joint))| {
             let jump = change(axis, before.axes[i], after.axes[i]);
             let limit = joint.max_speed;
             let allowed = limit * seconds + 3.0 * SQRT_2 * joint.uncertainty;
             (jump.abs() > allowed).then(|| {
                 let (unit, name) = (axis.unit(), axis.limit_name());
-                let text = format!(
+                format!(
                     "{axis} jumped by {jump:.4} {unit} in {seconds:.3} s, faster than \
-                     `max_speed.{name}` = {limit} {unit}/s; check the encoder, or raise the limit"
-                );
-                Rejection { kind: "jump", text }
+                     `max_speed.{name}` = {limit} {unit}/s"
+                )
             })
         })
     }
@@ -290,32 +306,49 @@ impl Climber {
     ///
     /// This rejects single spikes and recovers from an encoder that was re-zeroed. The distance
     /// that the climber can have moved is that at the time of the jump: with the time since, it
-    /// would soon cover the jump itself.
+    /// would soon cover the jump itself. It grows with time where only a stamp is wrong (the motion
+    /// is possible within the usual interval) and behind a gap.
     fn check_jump(&mut self, last: &Accepted, now: Accepted) -> Result<Accepted, Rejection> {
-        let elapsed = now.stamp.seconds_since(last.stamp);
-        let Some(candidate) = self.candidate else {
-            let Some(rejection) = self.jump(last, &now, elapsed) else { return Ok(now) };
-            self.candidate = Some(Candidate { last: now, consistent: 1, after: elapsed });
-            return Err(rejection);
+        let rejected = |jump: String, after: f64| {
+            let remedy = match after.is_finite() {
+                true => "check the encoder, or raise the limit",
+                false => "check the stamps: readings usually are further apart",
+            };
+            Err(Rejection { kind: "jump", text: format!("{jump}; {remedy}") })
         };
-        let Some(rejection) = self.jump(last, &now, candidate.after.min(elapsed)) else {
+        let elapsed = now.stamp.seconds_since(last.stamp);
+        let usual = self.interval.unwrap_or(0.0);
+        let candidate = self.candidate.filter(|candidate| {
+            let gap = now.stamp.seconds_since(candidate.last.stamp);
+            gap <= LONGEST_GAP * self.interval.unwrap_or(candidate.after)
+        });
+        let Some(candidate) = candidate else {
+            let Some(jump) = self.jump(last, &now, elapsed) else { return Ok(now) };
+            let after = match self.jump(last, &now, elapsed.max(usual)) {
+                Some(_) => elapsed.max(usual),
+                None => f64::INFINITY,
+            };
+            self.candidate = Some(Candidate { last: now, consistent: 1, after });
+            return rejected(jump, after);
+        };
+        let Some(jump) = self.jump(last, &now, candidate.after.min(elapsed)) else {
             return Ok(now);
         };
         let step = now.stamp.seconds_since(candidate.last.stamp);
         if step <= 0.0 {
-            return Err(rejection);
+            return rejected(jump, candidate.after);
         }
-        let consistent = if self.jump(&candidate.last, &now, step).is_none() {
-            candidate.consistent + 1
-        } else if self.jump(last, &now, candidate.after + step).is_none() {
+        let (consistent, after) = if self.jump(&candidate.last, &now, step.max(usual)).is_none() {
+            (candidate.consistent + 1, candidate.after)
+        } else if self.jump(last, &now, (candidate.after + step).min(elapsed)).is_none() {
             // Away from the candidate, and back but for the motion since that.
             return Ok(now);
         } else {
-            1
+            (1, candidate.after.min(elapsed.max(usual)))
         };
         if consistent < self.config.jump_patience {
-            self.candidate = Some(Candidate { last: now, consistent, ..candidate });
-            return Err(rejection);
+            self.candidate = Some(Candidate { last: now, consistent, after });
+            return rejected(jump, after);
         }
         let change = Axis::ALL.map(|axis| {
             let i = axis as usize;

@@ -1,8 +1,9 @@
 //! Clock of the device without wraps, from the sample counter or SampleTimeFine.
 //!
-//! Counters and arrival times → device time (ns) and number of missing messages.
+//! Counters and arrival times → device time (ns) and number of missing messages. A device without
+//! either is counted by its messages, and what is missing follows from the time since the first.
 
-use crate::protocol::Measurement;
+use crate::{clock_fit::MAX_DRIFT, protocol::Measurement};
 use rig_model::Stamp;
 
 /// Period of SampleTimeFine of MTi-10 and MTi-100, ticks of 0.1 ms; others use all 32 bits.
@@ -30,6 +31,17 @@ struct Last {
     arrival: Stamp,
 }
 
+/// Delays of messages without a counter, in message periods since the first one.
+#[derive(Clone, Copy, Debug, Default)]
+struct Delays {
+    /// Arrival of the first message.
+    first: Stamp,
+    /// Delay of the fastest message: negative if the first one was late.
+    fastest: f64,
+    /// Arrival since when messages are missing, and the smallest number of them since then.
+    missing: Option<(Stamp, f64)>,
+}
+
 /// Unwraps the clock of the device.
 #[derive(Clone, Copy, Debug)]
 pub struct DeviceTime {
@@ -39,6 +51,7 @@ pub struct DeviceTime {
     /// Messages without inertial data since the last one with them; they increment the counter too.
     others: i64,
     last: Option<Last>,
+    delays: Delays,
 }
 
 /// Counted minus elapsed time beyond which the counter has restarted, s. A smaller difference is a
@@ -47,6 +60,14 @@ const AHEAD: f64 = 5.0;
 /// Elapsed minus counted time beyond which the counter has restarted, s. A smaller difference is a
 /// host that slept and received everything from its buffers.
 const BEHIND: f64 = 5.0;
+/// Time for which messages without a counter must be missing, s. On a busy host (pauses of 45 ms),
+/// behind an adapter that sends every 16 ms, a message is late by less than a period within it.
+const BACKLOG: f64 = 0.3;
+/// Smallest number of missing messages that is counted without a counter. Bursts of an adapter may
+/// delay all messages by one period, which is no loss.
+const FEWEST_MISSING: f64 = 2.0;
+/// Part of a period by which all delays of the last [`BACKLOG`] may be too small or too large.
+const JITTER: f64 = 0.2;
 
 fn inconsistent(counted: f64, elapsed: f64) -> bool {
     counted - elapsed > AHEAD || elapsed - counted > BEHIND.max(0.5 * elapsed)
@@ -56,7 +77,7 @@ impl DeviceTime {
     /// Creates a clock with a message period of `ticks` / `ticks_per_second` seconds.
     pub fn new(ticks: u32, ticks_per_second: u32) -> Self {
         let period = (i64::from(ticks.max(1)) * 1_000_000_000, i64::from(ticks_per_second.max(1)));
-        Self { period, count: 0, others: 0, last: None }
+        Self { period, count: 0, others: 0, last: None, delays: Delays::default() }
     }
 
     /// Message period, s.
@@ -100,12 +121,13 @@ impl DeviceTime {
             Some(0) => return repeated,
             Some(step) => (step - self.others).max(1),
             // Without a counter the message is the next one, however late it is: those behind it
-            // arrive at the same time.
+            // may arrive at the same time.
             None => 1,
         };
         if inconsistent(step as f64 * self.period(), elapsed) {
             return self.first(m, arrival, true);
         }
+        let step = if by_counter.is_none() { step + self.missing(arrival) } else { step };
         self.count = self.count.saturating_add(step);
         let device =
             (i128::from(self.count) * i128::from(self.period.0) / i128::from(self.period.1)) as i64;
@@ -113,8 +135,35 @@ impl DeviceTime {
         self.remember(m, arrival, Placed { device, lost, ..Placed::default() })
     }
 
+    /// Number of messages that are missing before one without a counter: the smallest number since
+    /// the gap, once the late messages have arrived.
+    fn missing(&mut self, arrival: Stamp) -> i64 {
+        let periods = arrival.seconds_since(self.delays.first) / self.period();
+        let delay = periods - (self.count + 1) as f64;
+        let delays = &mut self.delays;
+        // Rises with the largest drift, which would look like a loss after hours.
+        delays.fastest = (delays.fastest + MAX_DRIFT).min(delay);
+        let missing = delay - delays.fastest;
+        if missing < FEWEST_MISSING - JITTER {
+            delays.missing = None;
+            return 0;
+        }
+        let (since, smallest) = match delays.missing {
+            Some((since, smallest)) if missing > smallest - 0.5 => (since, smallest.min(missing)),
+            // The first one, or late messages are still arriving.
+            _ => (arrival, missing),
+        };
+        if arrival.seconds_since(since) < BACKLOG {
+            delays.missing = Some((since, smallest));
+            return 0;
+        }
+        delays.missing = None;
+        (smallest + JITTER).floor() as i64
+    }
+
     fn first(&mut self, m: &Measurement, arrival: Stamp, restarted: bool) -> Placed {
         self.count = 0;
+        self.delays = Delays { first: arrival, ..Delays::default() };
         self.remember(m, arrival, Placed { restarted, ..Placed::default() })
     }
 
@@ -208,6 +257,27 @@ mod tests {
             assert_eq!((placed.device, placed.lost), (k * 10_000_000, 0));
         }
         assert!(time.place(&none, at(60.0)).restarted);
+    }
+
+    #[test]
+    fn without_a_counter_messages_that_stay_missing_are_counted() {
+        for missing in [3, 30, 200] {
+            let mut time = DeviceTime::new(1152, 115_200);
+            let mut lost = 0;
+            for k in (0..400_u64).chain(400 + missing..1000) {
+                // In bursts of 16 ms; a busy host reads 0.3 s of messages at once.
+                let busy = (200..=230).contains(&k);
+                let milliseconds = if busy { 2304 } else { (10 * k).div_ceil(16) * 16 };
+                let arrival = at(milliseconds as f64 * 1e-3);
+                let placed = time.place(&Measurement::default(), arrival);
+                lost += placed.lost;
+                // Behind the gap, the late messages are awaited.
+                if k < 400 || k > 440 + missing {
+                    assert_eq!((placed.device, placed.restarted), (k as i64 * 10_000_000, false));
+                    assert_eq!(lost, if k < 400 { 0 } else { missing });
+                }
+            }
+        }
     }
 
     #[test]

@@ -31,6 +31,8 @@ enum ParameterSource {
 pub struct RosArguments {
     remaps: Vec<Remap>,
     sources: Vec<ParameterSource>,
+    /// Values of the program's own options.
+    own: Vec<ParameterSource>,
     levels: Vec<(Option<String>, Level)>,
     outputs: LogOutputs,
     of_others: BTreeSet<String>,
@@ -170,27 +172,19 @@ impl RosArguments {
         self.sources.push(ParameterSource::Value { node: None, name: name.to_owned(), value });
     }
 
-    /// Adds what a program's own options give (`--rig FILE`, `--port VALUE`) below `--ros-args`:
-    /// `-p` overrides it, and a file overrides the files. Its values override every file, because a
-    /// launch file passes the rig file in `--ros-args`.
+    /// Adds what a program's own options give (`--rig FILE`, `--port VALUE`) below `--ros-args`.
+    ///
+    /// Its files are below the files there. Its values override every file, because a launch file
+    /// passes the rig file in `--ros-args`; a value is not used where a `-p` for the node gives
+    /// another one.
     #[must_use]
     pub fn over(mut self, own: Self) -> Self {
         let is_file = |source: &ParameterSource| matches!(source, ParameterSource::File { .. });
         let (files, values): (Vec<_>, Vec<_>) = own.sources.into_iter().partition(is_file);
         let above = std::mem::replace(&mut self.sources, files);
         self.sources.extend(above);
-        // Backwards, so that the last of several values of one parameter is the uppermost.
-        for value in values.into_iter().rev() {
-            let is_same = |source: &ParameterSource| match (source, &value) {
-                (
-                    ParameterSource::Value { name: a, .. },
-                    ParameterSource::Value { name: b, .. },
-                ) => a == b,
-                _ => false,
-            };
-            let place = self.sources.iter().position(is_same).unwrap_or(self.sources.len());
-            self.sources.insert(place, value);
-        }
+        let above = std::mem::replace(&mut self.own, own.own);
+        self.own.extend(values.into_iter().chain(above));
         self
     }
 
@@ -331,8 +325,17 @@ impl RosArguments {
 
     /// The values given for this node with their origins; later sources override earlier ones.
     pub(crate) fn overrides(&self, node: &NodeName) -> BTreeMap<String, Override> {
+        let is_for = |only: &Option<String>| only.as_deref().is_none_or(|n| n == node.base());
+        let is_replaced = |own: &ParameterSource| {
+            let ParameterSource::Value { name: own, .. } = own else { return false };
+            self.sources.iter().any(|source| match source {
+                ParameterSource::Value { node: only, name, .. } => name == own && is_for(only),
+                ParameterSource::File { .. } => false,
+            })
+        };
+        let own = self.own.iter().filter(|own| !is_replaced(own));
         let mut all = BTreeMap::new();
-        for source in &self.sources {
+        for source in self.sources.iter().chain(own) {
             match source {
                 ParameterSource::File { path, file } => {
                     let own = self.is_own(file, node);
@@ -344,7 +347,7 @@ impl RosArguments {
                     }));
                 }
                 ParameterSource::Value { node: only, name, value } => {
-                    if only.as_deref().is_none_or(|n| n == node.base()) {
+                    if is_for(only) {
                         all.insert(
                             name.clone(),
                             Override {

@@ -206,7 +206,7 @@ fn an_offset_that_changes_by_milliseconds_is_followed() {
 /// Images that a frozen filter does not use cannot restart it either.
 #[test]
 fn a_frozen_filter_keeps_its_pose_when_the_offset_changes() {
-    let (run, inputs) = changing(1, 0.06);
+    let (run, inputs) = changing(1, -0.06);
     let mut fusion = Fusion::new(simulated::rig(), simulated::config());
     let (mut frozen, mut lost) = (0, 0);
     for input in inputs {
@@ -228,7 +228,7 @@ fn a_frozen_filter_keeps_its_pose_when_the_offset_changes() {
     }
     let status = fusion.status();
     assert!(frozen == 400 && lost == 0, "{frozen} {lost}");
-    assert!((status.time_offset.offset + 0.06).abs() < 2e-3, "{status:?}");
+    assert!((status.time_offset.offset - 0.06).abs() < 2e-3, "{status:?}");
 }
 
 /// A rolling shutter: each marker is seen at the time of its row.

@@ -54,6 +54,12 @@ pub fn number(
     }
 }
 
+/// Joins the words of a command line, quoted for a shell.
+pub fn quoted(words: &[String]) -> String {
+    // No argument contains a NUL byte.
+    shlex::try_join(words.iter().map(String::as_str)).unwrap_or_else(|_| words.join(" "))
+}
+
 /// Options of a command that are valid alone and not together.
 #[derive(Debug, Error)]
 #[error("{0}")]

@@ -5,9 +5,11 @@
 mod place;
 mod simulated;
 
+use bag::{BagWriter, Qos, Topic, WriteOptions};
 use nalgebra::Vector3;
+use node_kit::convert;
 use place::{Place, Ran};
-use rig_model::{MarkerColor, Rig};
+use rig_model::{MarkerColor, Rig, Stamp};
 use rig_simulator::RIG_YAML;
 use ros_parameters::{ParameterFile, ParameterValue};
 use simulated::{Simulated, resting};
@@ -17,6 +19,7 @@ use volant::{
     evaluate::{EvaluateOptions, evaluate},
     replay::TopicNames,
 };
+use volant_msgs::sensor_msgs::msg::CompressedImage;
 
 /// Runs `volant bringup` with the answers of an operator; returns its status and what it prints.
 fn bringup(place: &Place, arguments: &str, answers: &str) -> (Option<i32>, String) {
@@ -308,4 +311,34 @@ fn an_own_recording_is_no_default() {
     place.write("rig.yaml.bringup.json", state);
     let (_, printed) = bringup(&place, "imu --rig other/../rig.yaml", "\n\n");
     assert!(printed.contains("[live 60]"), "{printed}");
+}
+
+/// No topic of the bag has the rig's name, and `bringup` has no option that would name one.
+#[test]
+fn the_operator_chooses_the_rigs_camera_where_a_bag_has_two_others() {
+    let place = Place::with_rig(RIG_YAML);
+    let mut bag = BagWriter::create(&place.path("two.mcap"), WriteOptions::default()).unwrap();
+    for name in ["/a_room/image/compressed", "/b_room/image/compressed"] {
+        let topic = bag.add_topic(Topic::of::<CompressedImage>(name, &Qos::SENSOR));
+        for stamp in (1..10).map(|i| Stamp::from_nanos(i * 50_000_000)) {
+            let image = CompressedImage {
+                header: convert::header("", stamp),
+                ..CompressedImage::default()
+            };
+            let logged = u64::try_from(stamp.as_nanos()).unwrap();
+            bag.write_message(topic, logged, &image).unwrap();
+        }
+    }
+    bag.finish().unwrap();
+    let answers = "\ntwo.mcap\n/c_room\n/b_room/image/compressed\n\n";
+    let (_, printed) = bringup(&place, "camera --rig rig.yaml", answers);
+    for needle in [
+        "Images on /a_room/image/compressed, /b_room/image/compressed",
+        "`/c_room` is not one of the answers",
+        "rate: 20.0 images/s",
+        "no usable image",
+    ] {
+        assert!(printed.contains(needle), "{needle} in\n{printed}");
+    }
+    assert!(!printed.contains("--namespace") && !printed.contains("--topic"), "{printed}");
 }

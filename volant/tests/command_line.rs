@@ -4,13 +4,13 @@
 mod place;
 
 use bag::{BagReader, BagWriter, Compression, Qos, Topic, WriteOptions};
-use place::{Place, Ran};
+use place::{Place, Ran, copy_bag};
 use rig_model::topics;
 use std::{fs, path::Path, process::Command};
 use volant_msgs::{
     cdr,
     geometry_msgs::msg::TransformStamped,
-    sensor_msgs::msg::{CameraInfo, CompressedImage, Imu},
+    sensor_msgs::msg::{CameraInfo, CompressedImage, Imu, JointState},
     std_msgs::msg::String as Text,
 };
 
@@ -93,6 +93,21 @@ fn a_wrong_command_line_is_2() {
 }
 
 #[test]
+fn up_takes_a_file_after_a_space_or_an_equals_sign() {
+    let place = Place::new();
+    for option in ["--rig", "--params-file"] {
+        let [apart, joined] =
+            [" ", "="].map(|by| place.volant(&format!("up {option}{by}gone.yaml")));
+        assert!(
+            joined.err.contains("gone.yaml") && !joined.err.contains("no node"),
+            "{}",
+            joined.err
+        );
+        assert_eq!((apart.err, apart.status), (joined.err, joined.status));
+    }
+}
+
+#[test]
 fn no_letter_stands_for_two_options() {
     for command in ["replay", "evaluate", "record", "play"] {
         let help = Place::with_rig(RIG).done(&format!("{command} --help"));
@@ -172,6 +187,22 @@ fn a_rig_file_that_is_wrong_is_named_with_its_key() {
     }
     fs::remove_file(place.path("rig.yaml")).unwrap();
     place.fails(REPLAY, &["rig.yaml"]);
+}
+
+/// A replay has no `-p`.
+#[test]
+fn the_remedy_for_a_missing_height_is_one_that_a_replay_has() {
+    let (rig, _) = RIG.split_once("/**/climber_driver:").unwrap();
+    let place = Place::with_rig(rig);
+    bag(&place.path("with_transform.mcap"), "");
+    copy_bag(&place.path("with_transform.mcap"), &place.path("in.mcap"), |topic, message| {
+        if topic.name == topics::absolute::CLIMBER_TRANSFORM {
+            *topic = Topic::of::<JointState>(topics::absolute::JOINT_STATES, &Qos::RELIABLE);
+            message.data = cdr::to_bytes(&JointState::default());
+        }
+    });
+    place.fails(REPLAY, &["converted by climber_driver", "`height` must be given", "in rig.yaml"]);
+    assert!(!place.failed(REPLAY).contains("-p height"));
 }
 
 #[test]

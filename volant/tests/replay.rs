@@ -20,7 +20,7 @@ use volant::{
     evaluate::{EvaluateOptions, Quality, evaluate},
     replay::TopicNames,
 };
-use volant_msgs::{Message, cdr, geometry_msgs::msg::TransformStamped};
+use volant_msgs::{Message, cdr, geometry_msgs::msg::TransformStamped, sensor_msgs::msg::Imu};
 
 const BAGS: [&str; 4] = ["nominal", "occlude_two", "fast_swing", "clutter"];
 /// Recorded without images, with real IMU samples that have no attitude.
@@ -89,8 +89,38 @@ fn a_transform_stamped_in_another_year_does_not_stretch_the_output() {
     });
     let printed = place.done("replay changed.mcap --rig rig.yaml --out out.mcap");
     assert!(printed.contains("ahead of the IMU"), "{printed}");
+    let left_out = |line: &&str| line.contains("is left out of the output");
+    assert_eq!(printed.lines().filter(left_out).count(), 1, "{printed}");
     let (start, end) = BagReader::summary(&place.path("out.mcap")).unwrap().span.unwrap();
     assert!(end - start < 10_000_000_000, "{start} to {end}");
+}
+
+/// The filter rejects such samples and goes on without the IMU, and the output with it.
+#[test]
+fn imu_samples_without_a_stamp_leave_nothing_out_of_the_output() {
+    let (place, simulated) = (Place::with_rig(rig_simulator::RIG_YAML), Simulated::new(5));
+    let [input, changed, output] = ["in.mcap", "changed.mcap", "out.mcap"].map(|n| place.path(n));
+    simulated.write(&input, &simulated.motion(5.0, false), true);
+    for first in [0, 200] {
+        let mut count = 0;
+        let _ = fs::remove_file(&changed);
+        copy_bag(&input, &changed, |topic, message| {
+            if topic.type_name == Imu::TYPE_NAME {
+                count += 1;
+                if count > first {
+                    let mut imu: Imu = cdr::from_bytes(&message.data).unwrap();
+                    (imu.header.stamp.sec, imu.header.stamp.nanosec) = (0, 0);
+                    message.data = cdr::to_bytes(&imu);
+                }
+            }
+        });
+        place.done("replay changed.mcap --rig rig.yaml --out out.mcap --overwrite");
+        let [before, after] = [&input, &output].map(|bag| BagReader::summary(bag).unwrap());
+        for topic in [topics::absolute::MARKERS, topics::absolute::CLIMBER_TRANSFORM] {
+            assert_eq!(before.count(topic), after.count(topic), "{topic} from {first} on");
+        }
+        assert!(after.count(topics::absolute::ODOMETRY) > 0);
+    }
 }
 
 #[test]

@@ -140,6 +140,25 @@ fn messages_with_other_joints_only_are_named_and_so_is_the_parameter() {
 }
 
 #[test]
+fn other_joints_do_not_hide_why_readings_of_the_climber_are_rejected() {
+    for before in [0, 30] {
+        let mut climber = climber();
+        let arm = |k: i32| JointReading {
+            stamp: T0.plus_seconds(0.02 * f64::from(k)),
+            names: vec!["arm_1".into()],
+            positions: vec![0.0],
+        };
+        let named = (0..before).filter(|k| !process(&mut climber, &arm(*k)).is_empty()).count();
+        assert_eq!(named > 0, before > 0);
+        for k in before..before + 30 {
+            let own = reading(0.02 * f64::from(k), f64::NAN, 0.0, 0.0);
+            assert_eq!(rejection(&mut climber, &own).kind(), "not finite");
+            assert!(process(&mut climber, &arm(k)).is_empty(), "{before} {k}");
+        }
+    }
+}
+
+#[test]
 fn spikes_are_rejected_and_a_lasting_step_is_accepted_after_the_patience() {
     let mut climber = climber();
     let patience = ClimberConfig::default().jump_patience;
@@ -186,6 +205,35 @@ fn a_moving_climber_is_followed_beside_spikes() {
         let spike = if i % 2 == 1 { 0.5 } else { 0.0 };
         let out = process(&mut climber, &reading(seconds, 1.9 * seconds + spike, 0.0, 0.0));
         assert_eq!(matches!(out[..], [Output::Sample(_)]), spike == 0.0, "{i}: {out:?}");
+    }
+}
+
+#[test]
+fn a_wrong_stamp_or_a_gap_costs_few_readings_of_a_moving_climber() {
+    for (interval, speed, most) in [(0.02, 1.0, 1), (0.1, 1.0, 1), (0.02, 1.8, 10)] {
+        let mut climber = climber();
+        let mut rejected = Vec::new();
+        for i in 0..100 {
+            let seconds = interval * f64::from(i);
+            // One reading is stamped 1 ms before the next one.
+            let late = if i == 50 { interval - 0.001 } else { 0.0 };
+            let out = process(&mut climber, &reading(seconds + late, speed * seconds, 0.0, 0.0));
+            match out.as_slice() {
+                [Output::Sample(_)] => {}
+                [Output::Warning(warning)] => rejected.push(warning.to_string()),
+                other => panic!("{i}: {other:?}"),
+            }
+        }
+        assert!((1..=most).contains(&rejected.len()), "{interval} {speed}: {rejected:?}");
+        assert!(rejected[0].contains("check the stamps"), "{rejected:?}");
+    }
+    // A spike before a second without readings.
+    let mut climber = climber();
+    for i in (0..=50).chain(100..150) {
+        let seconds = 0.02 * f64::from(i);
+        let spike = if i == 50 { 0.5 } else { 0.0 };
+        let out = process(&mut climber, &reading(seconds, seconds + spike, 0.0, 0.0));
+        assert_eq!(matches!(out[..], [Output::Sample(_)]), i != 50, "{i}: {out:?}");
     }
 }
 

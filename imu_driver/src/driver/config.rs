@@ -3,7 +3,7 @@
 use crate::protocol::{
     LegacyFormat, NumberFormat, OutputEntry, OutputMode, OutputSettings,
     configuration::period_and_skip,
-    message::{BAUD_SCAN, baud_code},
+    message::{BAUD_SCAN, baud_code, baud_from_code},
     mtdata2::{data_length, xdi},
 };
 
@@ -35,7 +35,8 @@ ros_parameters::parameters! {
         /// Longest pause between two attempts to find the IMU.
         longest_pause: f64 = 1.0, unit("s"), range(0.1..=60.0);
         plain {
-            /// Only set the device to the baud rate of this code, followed by a reset.
+            /// Only set the device to the baud rate of this code, followed by a reset, if that
+            /// carries the messages.
             set_baud: Option<u8> = None;
             /// Time until late arrivals count as a clock step, s.
             step_patience: f64 = 1.0;
@@ -65,9 +66,10 @@ impl DriverConfig {
         self.check_line(baud, false)
     }
 
-    /// Checks that a line of `baud` carries the messages (MTData2 or legacy ones), unless the
-    /// settings of the IMU remain.
+    /// Checks that a line of `baud`, or of the baud rate to set, carries the messages (MTData2 or
+    /// legacy ones), unless the settings of the IMU remain.
     pub(super) fn check_line(&self, baud: u32, mtdata2: bool) -> Result<(), String> {
+        let baud = self.set_baud.and_then(baud_from_code).unwrap_or(baud);
         let bytes = 5 + match mtdata2 {
             true => data_length(&self.outputs()),
             false => self.legacy_format().data_length(),

@@ -132,7 +132,8 @@ pub enum Event {
          let the driver set the outputs (leave_settings: false)"
     )]
     NoInertialData,
-    /// This number of messages is missing, according to the counter.
+    /// This number of messages is missing, according to the counter, or to the time if there is
+    /// none.
     #[error("{0} messages lost")]
     Lost(u64),
     /// The clock of the device restarted.

@@ -26,7 +26,7 @@ const DRIFT_INTERVAL: f64 = 10.0;
 pub struct Statistics {
     /// Samples output.
     pub samples: u64,
-    /// Missing messages, according to the counter.
+    /// Missing messages, according to the counter, or to the time if there is none.
     pub lost: u64,
     /// Messages received twice.
     pub repeated: u64,

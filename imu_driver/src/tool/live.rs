@@ -250,22 +250,28 @@ pub(super) fn configure(arguments: &Configure) -> Result<(), Failure> {
         ..DriverConfig::default()
     };
     let mut line = arguments.line.clone();
-    // Before anything is written: the line must carry the messages at its last baud rate.
+    // Before anything is written: the line must carry the messages at its last baud rate. Those of
+    // an MTi-1, 10, 100 or 600 are longer; the driver checks them once the IMU has answered.
     let baud = arguments.set_baud.or(line.baud).unwrap_or(0);
     DriverConfig { baud, ..config.clone() }.check()?;
     if let Some(baud) = arguments.set_baud {
-        set_baud(&line, baud)?;
+        set_baud(&line, baud, &config)?;
         line.baud = Some(baud);
     }
     show(&identify(&line, config, true)?)
 }
 
-fn set_baud(line: &Line, baud: u32) -> Result<(), Failure> {
+/// Sets the baud rate of an IMU that gets the outputs of `config` afterwards.
+fn set_baud(line: &Line, baud: u32, config: &DriverConfig) -> Result<(), Failure> {
     let code = baud_code(baud).ok_or_else(|| format!("{baud} baud is not supported by the IMU"))?;
-    let config = DriverConfig { set_baud: Some(code), ..read_only() };
-    let mut set = false;
+    let config = DriverConfig { set_baud: Some(code), ..config.clone() };
+    let (mut set, mut too_slow) = (false, None);
     converse(line, config, line.timeout, false, &NEVER, |report| {
         if let Report::Event(event) = report {
+            if matches!(event, Event::LineTooSlow(_)) {
+                too_slow = Some(event.to_string());
+                return false;
+            }
             errln!("{event}");
             set |= *event == Event::Set(MessageId::BAUD_RATE);
             if set {
@@ -276,11 +282,13 @@ fn set_baud(line: &Line, baud: u32) -> Result<(), Failure> {
         }
         true
     })?;
-    if set {
-        Ok(())
-    } else {
-        let port = &line.port;
-        Err(format!("the IMU at {port} rejected {baud} baud; see the messages above").into())
+    let port = &line.port;
+    match too_slow {
+        _ if set => Ok(()),
+        Some(reason) => Err(format!("{port}: {reason}").into()),
+        None => {
+            Err(format!("the IMU at {port} rejected {baud} baud; see the messages above").into())
+        }
     }
 }
 

@@ -3,7 +3,7 @@
 use crate::bench::Bench;
 use imu_driver::{
     driver::{DriverConfig, Event},
-    protocol::{DeviceError, MessageId, OutputEntry, OutputMode},
+    protocol::{DeviceError, MessageId, OutputEntry, OutputMode, message::baud_code},
     simulated_imu::SimulatedImuConfig,
 };
 
@@ -44,6 +44,12 @@ fn settings_that_the_line_found_cannot_carry_are_not_written() {
     let other = Bench::after(3.0, faster.clone(), modern.clone());
     let slow = other.events.iter().find(is_slow).unwrap().to_string();
     assert!(slow.contains("121500 baud") && other.imu.flash_writes() == 0, "{slow}");
+    // Nor is the baud rate written at which the line could not carry them.
+    let fast = SimulatedImuConfig { baud: 460_800, ..modern.clone() };
+    let set = DriverConfig { baud: 460_800, set_baud: baud_code(115_200), ..faster.clone() };
+    let other = Bench::after(3.0, set, fast);
+    let slow = other.events.iter().find(is_slow).unwrap().to_string();
+    assert!(slow.contains("the line has 115200") && other.imu.flash_writes() == 0, "{slow}");
     // Nor does the device begin to send them.
     let leave = DriverConfig { leave_settings: true, ..DriverConfig::default() };
     let other =

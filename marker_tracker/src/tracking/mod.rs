@@ -152,7 +152,7 @@ impl Pipeline {
             self.state.noise.adapt_excess(&self.state.platform, &self.state.markers, &view);
         }
         self.adapt(image, &view);
-        self.state.platform.count_displaced(displaced);
+        self.state.platform.note_displaced(displaced, self.state.interval.seconds);
         self.state.motion.pose = Some(pose);
         detected
     }

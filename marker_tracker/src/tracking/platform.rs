@@ -17,9 +17,10 @@ const SETTLED: u32 = 12;
 /// Largest distance of a marker from where the rig file has it, in units of its side: 11 mm for a
 /// side of 76 mm.
 const MAX_MISPLACEMENT: f64 = 0.15;
-/// Number of images in a row after which a marker at another place was mounted there: two seconds
-/// of a usual camera.
-const REMOUNTED: u32 = 60;
+/// Time of consecutive images after which a marker at another place was mounted there, s.
+const REMOUNTED: f64 = 2.0;
+/// Longest image interval that counts towards it, s: nothing is known of a pause of the camera.
+const MAX_INTERVAL: f64 = 0.25;
 
 /// Gain of the n-th update of a mean that becomes a running mean.
 fn gain(n: u32) -> f64 {
@@ -91,8 +92,8 @@ pub(super) struct PlatformModel {
     /// Adapted layout (volant frame, m).
     pub layout: MarkerLayout,
     pub markers: PerColor<MarkerGeometry>,
-    /// The marker that is not at its place, and the number of images in a row.
-    displaced: Option<(MarkerColor, u32)>,
+    /// The marker that is not at its place, and the time of the consecutive images that show it, s.
+    displaced: Option<(MarkerColor, f64)>,
 }
 
 impl PlatformModel {
@@ -101,15 +102,16 @@ impl PlatformModel {
         Self { given: layout.clone(), layout, markers: PerColor::default(), displaced: None }
     }
 
-    /// Counts the images in a row in which the three other markers contradict the place of the same
-    /// one. After [`REMOUNTED`] images the adaptation restarts: the tolerances of adapted places
-    /// would reject a marker for good that was mounted elsewhere.
-    pub fn count_displaced(&mut self, color: Option<MarkerColor>) {
+    /// Adds up the time in which the three other markers contradict the place of the same one in
+    /// each image; `interval`: before the current image, s. After [`REMOUNTED`] the adaptation
+    /// restarts: the tolerances of adapted places would reject a marker for good that was mounted
+    /// elsewhere.
+    pub fn note_displaced(&mut self, color: Option<MarkerColor>, interval: f64) {
         let before = self.displaced.filter(|(displaced, _)| Some(*displaced) == color);
-        let images = before.map_or(1, |(_, images)| images.saturating_add(1));
-        self.displaced = color.map(|color| (color, images));
+        let lasts = before.map_or(0.0, |(_, lasts)| lasts) + interval.clamp(0.0, MAX_INTERVAL);
+        self.displaced = color.map(|color| (color, lasts));
         let is_placed = self.markers.0.iter().all(MarkerGeometry::is_placed);
-        if color.is_some() && images >= REMOUNTED && is_placed {
+        if color.is_some() && lasts >= REMOUNTED && is_placed {
             self.restart();
         }
     }
@@ -302,15 +304,22 @@ mod tests {
     use nalgebra::Point3;
 
     #[test]
-    fn the_adaptation_restarts_after_one_marker_was_elsewhere_for_60_images() {
+    fn the_adaptation_restarts_after_one_marker_was_elsewhere_for_two_seconds() {
         let layout = MarkerLayout { side: 0.076, centers: PerColor([Point3::origin(); 4]) };
         let red = Some(MarkerColor::Red);
-        for last in [red, Some(MarkerColor::Blue), None] {
-            let mut platform = PlatformModel::new(layout.clone());
-            platform.markers.0.iter_mut().for_each(|m| m.place_updates = 100);
-            (1..REMOUNTED).for_each(|_| platform.count_displaced(red));
-            platform.count_displaced(last);
-            assert_eq!(platform.markers[MarkerColor::Blue].is_placed(), last != red);
+        let is_placed = |platform: &PlatformModel| platform.markers[MarkerColor::Blue].is_placed();
+        // Images per second; in the last case every interval is a pause that counts for less.
+        for (rate, images) in [(5.0, 10), (30.0, 60), (120.0, 240), (0.1, 8)] {
+            // The sum of the intervals is not exact.
+            let interval = 1.001 / rate;
+            for last in [red, Some(MarkerColor::Blue), None] {
+                let mut platform = PlatformModel::new(layout.clone());
+                platform.markers.0.iter_mut().for_each(|m| m.place_updates = 100);
+                (1..images).for_each(|_| platform.note_displaced(red, interval));
+                assert!(is_placed(&platform), "{rate} Hz");
+                platform.note_displaced(last, interval);
+                assert_eq!(is_placed(&platform), last != red, "{rate} Hz");
+            }
         }
     }
 }

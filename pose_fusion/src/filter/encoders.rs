@@ -21,6 +21,11 @@ const JERKED: f64 = 0.1;
 /// A climber moves where its estimated rate is this many sigma from zero.
 const MOVES: f64 = 5.0;
 
+/// Encoders are suspended that contradict although no reading has been used for this time, s.
+const UNUSED: f64 = 0.15;
+/// Residual beyond which the readings of suspended encoders have ever less weight, m and rad.
+const FAR: f64 = 0.1;
+
 impl Filter {
     /// Responds to an encoder reading. Returns whether the time line was replaced.
     pub(super) fn on_encoders(
@@ -40,8 +45,8 @@ impl Filter {
         if innovation.nis <= CONTRADICTION {
             if fresh {
                 self.climber.adapt_jerk(innovation.nis);
-                self.publisher.note_encoders(at);
             }
+            self.publisher.note_encoders(at);
             return false;
         }
         let first = self.history.get(0).map_or(at, |first| first.stamp);
@@ -59,6 +64,10 @@ impl Filter {
             self.history.rewind(since + 1);
         } else {
             self.set_excluded(place, true);
+            let used = self.publisher.last_encoders;
+            if used.is_none_or(|used| at.seconds_since(used) > UNUSED) {
+                self.suspend_encoders(place, at, innovation);
+            }
         }
         false
     }
@@ -77,7 +86,12 @@ impl Filter {
         let axis_stands = stands.contains(&true);
         let seen = Seen { standing, axis_stands, moves, moves_on, leap };
         match self.trust.judge(at, innovation.nis, &innovation.residual, seen, timeout) {
-            Verdict::Exclude => false,
+            Verdict::Exclude => {
+                if !standing && self.trust.cause() != Some(Cause::Leap) {
+                    self.use_loosely(place, innovation);
+                }
+                false
+            }
             Verdict::Resume => {
                 self.climber.clear_stop();
                 self.set_excluded(place, false);
@@ -94,6 +108,20 @@ impl Filter {
                 true
             }
         }
+    }
+
+    /// Uses a reading of suspended encoders that move with a sigma as large as its residual, and
+    /// larger beyond [`FAR`]: readings that are late bound the drift of the climber, and those that
+    /// are far off have no weight.
+    fn use_loosely(&mut self, place: usize, innovation: &Innovation<3>) {
+        if let Some(entry) = self.history.get_mut(place)
+            && let Event::Encoders { reading, excluded, .. } = &mut entry.event
+        {
+            let sigmas = innovation.residual.map(|r| r.abs() * (r.abs() / FAR).max(1.0));
+            reading.variance = reading.variance.sup(&sigmas.component_mul(&sigmas));
+            *excluded = false;
+        }
+        self.history.rewind(place);
     }
 
     /// Suspends encoders of which one stopped harder than a drive brakes, with their newest reading
@@ -135,7 +163,8 @@ impl Filter {
         at: Stamp,
     ) -> bool {
         let from = since.plus_seconds(self.encoder_offset());
-        let suspected = self.trust.may_suspect(from, at);
+        // Without the IMU images do not tell the climber's motion from the platform's.
+        let suspected = self.trust.may_suspect(from, at) && !self.arrival.is_imu_silent();
         if suspected {
             self.climber.suspect_frozen(axes);
             self.exclude_since(from);

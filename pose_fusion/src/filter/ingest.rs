@@ -125,8 +125,8 @@ impl Filter {
         {
             // Held back until after an image alone had initialized the pose, or of a clock that is
             // behind: the pose goes on without it until its stamps have come to the images'.
-            let (stamp, age_s) = (sample.stamp, first.stamp.seconds_since(sample.stamp));
-            return self.publisher.reject(Warning::TooOld { from: Source::Imu, stamp, age_s });
+            let behind_s = first.stamp.seconds_since(sample.stamp);
+            return self.publisher.reject(Warning::BehindImages { stamp: sample.stamp, behind_s });
         }
         let mut dt = dt;
         if let (Some(seconds), Some((from, _))) =
@@ -334,6 +334,8 @@ impl Filter {
         }
         let time_offset = self.encoder_offset();
         let at = stamp.plus_seconds(time_offset);
+        let end = self.arrival.end().unwrap_or(at);
+        self.climber.note_latency(end.seconds_since(at));
         if self.start.started && self.history.get(0).is_none_or(|first| at <= first.stamp) {
             let age_s = self.age(stamp);
             return self.publisher.reject(Warning::TooOld { from, stamp, age_s });
@@ -345,12 +347,11 @@ impl Filter {
             time_offset,
         };
         self.publisher.note_now(at);
-        let end = self.arrival.end().unwrap_or(at);
         let ahead_s = at.seconds_since(end);
         if ahead_s > AHEAD && self.history.len() > CAPACITY / 2 {
             // For a long time neither IMU samples nor images have come, which would process it: it
             // must not push out the newest state.
-            return self.publisher.reject(Warning::Ahead { from, stamp, ahead_s });
+            return self.publisher.warn(Warning::NotKept { from, stamp, silent_s: ahead_s });
         }
         let event = Event::Encoders { reading, excluded: self.trust.is_suspended(), fresh: true };
         self.history.insert(at, event, ImuReading::default());

@@ -28,7 +28,7 @@ use crate::{
 use nalgebra::Vector3;
 use rig_model::Stamp;
 
-/// Jerk of a climber whose encoders are not trusted, in units of the configured density.
+/// Jerk of a climber whose encoders are silent or not trusted, in units of the configured density.
 const FREE_JERK: f64 = 250.0;
 /// NIS of four markers (8 degrees of freedom) above which the platform was struck: where all passed
 /// the gates (0.999 quantile), and where some did not (0.9999 quantile).
@@ -113,10 +113,18 @@ impl Filter {
         repropagation::step(&mut self.history, &context, end)
     }
 
+    /// Returns whether encoder readings that were due at an instant of the time line are missing.
+    fn misses_encoders(&self, at: Stamp) -> bool {
+        self.climber.misses_readings(at.plus_seconds(-self.encoder_offset()))
+    }
+
     /// Process noise apart from the IMU's, which comes with each sample.
     pub(super) fn process_noise(&self) -> ProcessNoise {
         let c = &self.setup.config;
-        let factor = if self.trust.is_suspended() { FREE_JERK } else { self.climber.jerk_factor };
+        let next = self.history.get(self.history.processed()).map(|entry| entry.stamp);
+        let at = next.or(self.arrival.end());
+        let free = self.trust.is_suspended() || at.is_some_and(|at| self.misses_encoders(at));
+        let factor = if free { FREE_JERK } else { self.climber.jerk_factor };
         let densities = self.imu.densities(&self.setup.rig.imu);
         ProcessNoise {
             force: densities.force,
@@ -161,7 +169,10 @@ impl Filter {
             1 if entry.state.sigmas(ATTITUDE).max() < ATTITUDE_KNOWN => record.used as usize,
             detected => detected,
         };
-        let excused = self.disturbances.is_climber_disturbed(at, SETTLING) || moves_off;
+        // Without readings the climber may have moved, which is no shock of the platform.
+        let excused = self.disturbances.is_climber_disturbed(at, SETTLING)
+            || moves_off
+            || self.misses_encoders(at);
         let settled =
             self.lock_out.initialized_at.is_some_and(|i| stamp.seconds_since(i) > SETTLED);
         if record.used >= 3 && !excused && settled {
@@ -207,7 +218,9 @@ impl Filter {
             (None, 3) => Some(0.0),
             _ => None,
         };
-        if let (Some(internal), false) = (internal, excused) {
+        // Images alone follow a swing roughly.
+        let unpredicted = excused || self.arrival.is_imu_silent();
+        if let (Some(internal), false) = (internal, unpredicted) {
             let grows = self.imu.model_error.add(record.nis - internal, &MODEL_ERROR);
             let doubted = self.imu.model_error.ratio > DOUBTED && self.search.is_none();
             if (grows || doubted) && self.try_without_encoders(at) {

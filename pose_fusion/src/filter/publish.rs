@@ -69,7 +69,7 @@ pub(super) struct Publisher {
     last_published: Option<Stamp>,
     /// When the filter last had no pose, until the first odometry after that.
     awaited: Option<Stamp>,
-    last_encoders: Option<Stamp>,
+    pub(super) last_encoders: Option<Stamp>,
     pub(super) markers_used: u8,
     last_status: Option<Stamp>,
     silence: Silence,

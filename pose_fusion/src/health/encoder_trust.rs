@@ -1,16 +1,16 @@
 //! Trust in the encoders.
 //!
 //! Policy: a reading that no climber can have reached is excluded, and the encoders are suspended:
-//! the climber then moves freely and is measured by images and IMU. Three consistent readings in a
-//! row restore trust. Readings that contradict the estimate for `climber.step_timeout` are adopted
-//! (the drive was homed, or a wheel slipped): the filter reinitializes with them, and the world
-//! frame moves with the encoders. Until then the pose keeps its frame. Who of the two is wrong is
-//! not known: after `DISAGREES`, and at once where one stopped, the published covariance contains
-//! the distance between them; where they seem to be frozen, until that has been `CONFIRMED`.
-//! Encoders that are known to be frozen are not adopted before they move again. Readings that
-//! return from a fault and go on moving are right: they are adopted after `RETURNED`. They return
-//! where frozen ones move again, or where they leap to where a climber can have moved to since they
-//! were equal or leapt before.
+//! the climber then moves freely and is measured by images and IMU, and loosely by readings that
+//! move. Three consistent readings in a row restore trust. Readings that contradict the estimate for
+//! `climber.step_timeout` are adopted (the drive was homed, or a wheel slipped): the filter
+//! reinitializes with them, and the world frame moves with the encoders. Until then the pose keeps
+//! its frame. Who of the two is wrong is not known: after `DISAGREES`, and at once where one
+//! stopped, the published covariance contains the distance between them; where they seem to be
+//! frozen, until that has been `CONFIRMED`. Encoders that are known to be frozen are not adopted
+//! before they move again. Readings that return from a fault and go on moving are right: they are
+//! adopted after `RETURNED`. They return where frozen ones move again, or where they leap to where a
+//! climber can have moved to since they were equal or leapt before.
 
 use nalgebra::Vector3;
 use rig_model::Stamp;

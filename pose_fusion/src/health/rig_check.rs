@@ -64,9 +64,12 @@ impl RigCheck {
         if !self.has_camera {
             return;
         }
+        let detected = image.markers.0.iter().filter(|m| m.outcome != Outcome::NotDetected).count();
         for (color, record) in image.markers.iter() {
             let rejected = match record.outcome {
                 Outcome::Used => false,
+                // Two markers begin no pose, however right they are.
+                Outcome::NotInitialized if detected < 3 => continue,
                 Outcome::NotInitialized | Outcome::Gated | Outcome::Inconsistent => true,
                 _ => continue,
             };
@@ -196,17 +199,20 @@ mod tests {
     }
 
     #[test]
-    fn images_before_the_camera_model_are_no_finding() {
+    fn images_before_the_camera_model_or_of_two_markers_are_no_finding() {
         let mut check = RigCheck::default();
-        let note = |check: &mut RigCheck, outcome: Outcome, images: u32| {
+        let note_of = |check: &mut RigCheck, outcomes: [Outcome; 4], images: u32| {
             for _ in 0..images {
-                let record = Innovation::<2>::without_values(outcome);
-                check.note(&MarkerUpdates {
-                    stamp: Stamp::default(),
-                    markers: PerColor([record; 4]),
-                });
+                let markers = PerColor(outcomes.map(Innovation::<2>::without_values));
+                check.note(&MarkerUpdates { stamp: Stamp::default(), markers });
             }
         };
+        let note = |check: &mut RigCheck, outcome, images| note_of(check, [outcome; 4], images);
+        let mut two = RigCheck::default();
+        two.note_camera();
+        let [seen, hidden] = [Outcome::NotInitialized, Outcome::NotDetected];
+        note_of(&mut two, [seen, seen, hidden, hidden], NO_POSE);
+        assert_eq!(two.findings(&Status::default()), Vec::<String>::new());
         note(&mut check, Outcome::NotInitialized, 90);
         assert_eq!((check.unused, check.markers[MarkerColor::Red].count), (0, 0.0));
         check.note_camera();

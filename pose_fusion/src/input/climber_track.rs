@@ -16,6 +16,11 @@ const KEPT: usize = 400;
 const NEAR: f64 = 0.25;
 /// Readings that are less than this apart are interpolated without more uncertainty, s.
 const INTERPOLATED: f64 = 0.1;
+/// Readings are missing after this many of their intervals, the mean of the last [`RECENT`].
+const MISSED: f64 = 2.0;
+const RECENT: usize = 8;
+/// Share of a reading's latency in the running mean.
+const LATENCY_SHARE: f64 = 0.1;
 /// Shortest span of readings that gives rates, s.
 const SHORTEST: f64 = 0.03;
 /// No climber is faster than this (x, y, m/s; turn, rad/s; 1 sigma) …
@@ -78,6 +83,8 @@ pub struct ClimberTrack {
     pub assumed_variance: Vector3<f64>,
     /// Factor on the configured jerk density.
     pub jerk_factor: f64,
+    /// Running mean of the readings' latency, s.
+    latency: f64,
     /// Per axis, the first of the readings that equal the newest one.
     standing_since: [Stamp; 3],
     /// Per axis, when a moving climber stopped at once: before the first repeated reading.
@@ -94,6 +101,7 @@ impl ClimberTrack {
             assumed_variance: noise.variance(),
             noise,
             jerk_factor: SETTING_OFF,
+            latency: 0.0,
             standing_since: [Stamp::default(); 3],
             stopped: [None; 3],
         }
@@ -131,6 +139,23 @@ impl ClimberTrack {
             self.readings.pop_front();
         }
         Some((variance, Vector3::from(equal)))
+    }
+
+    /// Notes how much older a reading is than the end of the time line when it comes, s.
+    pub fn note_latency(&mut self, latency: f64) {
+        self.latency += LATENCY_SHARE * (latency.clamp(0.0, NEAR) - self.latency);
+    }
+
+    /// Returns whether readings that were due before an instant are missing: the last one is older
+    /// than [`MISSED`] times their usual interval, and than their latency explains.
+    pub fn misses_readings(&self, stamp: Stamp) -> bool {
+        let after = self.readings.partition_point(|(at, _, _)| *at <= stamp);
+        let Some(last) = after.checked_sub(1).filter(|last| *last > 0) else { return false };
+        let first = last.saturating_sub(RECENT);
+        let (first_at, last_at) = (self.readings[first].0, self.readings[last].0);
+        let usual = last_at.seconds_since(first_at) / (last - first) as f64;
+        let due = (MISSED * usual).max(SHORTEST) + 2.0 * self.latency;
+        stamp.seconds_since(last_at) > due
     }
 
     /// Returns the newest reading: stamp; x, y, turn; height and tilt.

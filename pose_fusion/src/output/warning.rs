@@ -15,6 +15,17 @@ pub enum Warning {
          latency and clocks, or increase `history`"
     )]
     TooOld { from: Source, stamp: Stamp, age_s: f64 },
+    #[error(
+        "{} at {stamp} is {behind_s:.3} s behind the images and is rejected: synchronize the clocks \
+         of IMU and camera",
+        Source::Imu
+    )]
+    BehindImages { stamp: Stamp, behind_s: f64 },
+    #[error(
+        "neither IMU samples nor images for {silent_s:.1} s: {from} at {stamp} is not kept; check \
+         both and their clocks"
+    )]
+    NotKept { from: Source, stamp: Stamp, silent_s: f64 },
     #[error("{from}: the stamp is zero; its publisher must set header.stamp; rejected")]
     NoStamp { from: Source },
     #[error("{from} at {stamp} arrived twice; the second is rejected: look for a second publisher")]
@@ -111,6 +122,7 @@ impl Warning {
             | Self::Duplicate { from, .. }
             | Self::Ahead { from, .. }
             | Self::Jump { from, .. } => Some(*from),
+            Self::BehindImages { .. } => Some(Source::Imu),
             _ => None,
         }
     }

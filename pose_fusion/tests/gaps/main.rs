@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::panic)]
 #[path = "../common/mod.rs"]
 mod common;
+mod encoders;
 mod encoders_alone;
 mod frozen;
 mod imu_bursts;

@@ -49,14 +49,13 @@ struct Candidate {
 /// No images show all markers, whatever the layout.
 pub(crate) fn examine(
     state: &mut Corrected,
-    track: Option<&mut Track<'_>>,
+    mut track: Option<&mut Track<'_>>,
 ) -> Result<(), CalibrationError> {
-    units(state);
+    units(state, track.as_deref_mut());
+    if state.findings.iter().any(|f| f.blocks) {
+        return Ok(());
+    }
     let candidates = candidates(&state.rig.markers);
-    let share = |markers: &[MarkerObservations]| {
-        let full = markers.iter().filter(|m| all_detected(m)).count();
-        full as f64 / markers.len().max(1) as f64
-    };
     if let Some(track) = track
         && share(&state.samples.markers) < TRACKED
     {
@@ -144,39 +143,64 @@ fn missing(state: &Corrected) -> Option<Finding> {
     })
 }
 
+/// Share of the images that have four markers.
+fn share(markers: &[MarkerObservations]) -> f64 {
+    let full = markers.iter().filter(|m| all_detected(m)).count();
+    full as f64 / markers.len().max(1) as f64
+}
+
 /// Centroids in the images with four markers.
 fn centroids(markers: &[MarkerObservations]) -> Vec<PerColor<Vector2<f64>>> {
     let full = markers.iter().filter(|m| all_detected(m));
     full.map(|m| PerColor(m.markers.0.map(|o| o.centroid))).collect()
 }
 
-/// Reach of a layout that is not in meters, its unit, and the factor to meters.
+/// A unit and its factor to meters.
+type Unit = (&'static str, f64);
+
+/// Reach of a layout that is not in meters, and the units that it may have.
 ///
 /// The side is in meters, because the rig file accepts no other, and markers do not overlap.
-fn unit(layout: &MarkerLayout) -> Option<(f64, &'static str, f64)> {
+fn possible_units(layout: &MarkerLayout) -> Option<(f64, Vec<Unit>)> {
     let centers = &layout.centers.0;
     let mean = centers.iter().map(|c| c.coords).sum::<Vector3<f64>>() / 4.0;
     let reach = centers.iter().map(|c| (c.coords - mean).norm()).fold(0.0, f64::max);
     let pairs = (0..4).flat_map(|i| (0..i).map(move |k| (centers[i] - centers[k]).norm()));
     let spacing = pairs.fold(f64::INFINITY, f64::min);
-    let (unit, factor) =
-        if spacing * 1e-3 >= layout.side { ("millimeters", 1e-3) } else { ("centimeters", 1e-2) };
-    (reach > REACH).then_some((reach, unit, factor))
+    let mut units = vec![("millimeters", 1e-3), ("centimeters", 1e-2)];
+    units.retain(|(_, factor)| spacing * factor >= layout.side && reach * factor <= REACH);
+    if units.is_empty() {
+        units.push(("centimeters", 1e-2));
+    }
+    (reach > REACH).then_some((reach, units))
 }
 
-/// Brings marker positions in millimeters or centimeters to meters.
-fn units(state: &mut Corrected) {
-    let layout = &mut state.rig.markers;
-    let Some((reach, unit, factor)) = unit(layout) else { return };
-    layout.centers.0.iter_mut().for_each(|c| c.coords *= factor);
-    state.findings.push(Finding::wrong(
-        "markers.red",
-        format!(
-            "markers.red, markers.green, markers.blue and markers.yellow are in {unit} instead of \
-             meters: {reach:.1} m from their center is impossible"
-        ),
-        "write the marker positions in meters",
-    ));
+/// Brings marker positions in millimeters or centimeters to meters. The images decide where both
+/// are possible: centroids fit at any scale, but the markers are found with the right one only.
+fn units(state: &mut Corrected, track: Option<&mut Track<'_>>) {
+    let file = state.rig.markers.clone();
+    let Some((reach, mut units)) = possible_units(&file) else { return };
+    let in_meters = |(_, factor): Unit| MarkerLayout {
+        side: file.side,
+        centers: PerColor(file.centers.0.map(|c| c * factor)),
+    };
+    if let (&[a, b], Some(track)) = (&units[..], track) {
+        let camera = &state.samples.camera;
+        let [of_a, of_b] =
+            [a, b].map(|unit| share(&track(&in_meters(unit), camera, Some(TRIALS[1]))));
+        if of_a.max(of_b) > TRACKED {
+            units = vec![if of_a > of_b { a } else { b }];
+        }
+    }
+    state.rig.markers = in_meters(units[0]);
+    let names: Vec<&str> = units.iter().map(|unit| unit.0).collect();
+    let text = format!(
+        "markers.red, markers.green, markers.blue and markers.yellow are in {} instead of meters: \
+         {reach:.1} m from their center is impossible",
+        names.join(" or ")
+    );
+    let finding = Finding::wrong("markers.red", text, "write the marker positions in meters");
+    state.findings.push(Finding { blocks: names.len() > 1, ..finding });
 }
 
 /// Brings mounting positions in millimeters or centimeters to meters.
@@ -346,13 +370,15 @@ mod tests {
                     .map(|[x, y]| Point3::new(reach * x, reach * y, 0.0)),
             ),
         };
-        let of = |reach, side| unit(&layout(reach, side)).map(|(_, unit, _)| unit);
-        assert_eq!(of(0.15, 0.076), None);
-        assert_eq!(of(15.0, 0.076), Some("centimeters"));
-        assert_eq!(of(75.0, 0.076), Some("millimeters"));
+        let of = |reach, side| {
+            let units = possible_units(&layout(reach, side)).map_or(vec![], |found| found.1);
+            units.into_iter().map(|unit| unit.0).collect::<Vec<_>>().join(" or ")
+        };
+        assert_eq!(of(0.15, 0.076), "");
+        assert_eq!(of(15.0, 0.076), "centimeters");
+        assert_eq!(of(250.0, 0.076), "millimeters");
         // Small markers are possible.
-        assert_eq!(of(0.02, 0.006), None);
-        assert_eq!(of(20.0, 0.006), Some("millimeters"));
+        assert_eq!(of(15.0, 0.025), "millimeters or centimeters");
     }
 
     #[test]

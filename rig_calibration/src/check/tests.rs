@@ -81,6 +81,33 @@ fn factors_are_percentages_and_a_fisheye_lens_has_no_tangential_coefficients() {
     assert_eq!(third(Distortion::Equidistant([0.0; 4])), 1.0);
 }
 
+#[test]
+fn images_decide_between_the_units_of_a_layout_with_small_markers() {
+    let (samples, mut rig) = recorded();
+    let right = rig.markers.centers;
+    rig.markers.side = 0.025;
+    rig.markers.centers.0.iter_mut().for_each(|c| c.coords *= 100.0);
+    let found = check(&samples, &rig, 0.0, None).unwrap().findings;
+    assert!(found.len() == 1 && found[0].blocks, "{found:?}");
+    assert!(found[0].text.contains("in millimeters or centimeters instead"), "{found:?}");
+    let is_right = |layout: &MarkerLayout| (layout.centers.0[0] - right.0[0]).norm() < 1e-6;
+    let mut track = |layout: &MarkerLayout, _: &CameraModel, _: Option<usize>| {
+        if is_right(layout) { samples.markers.clone() } else { vec![] }
+    };
+    let mut state = Corrected {
+        samples: samples.clone(),
+        rig,
+        moved: None,
+        other_mirror: None,
+        imu_clock: 0.0,
+        findings: vec![],
+    };
+    layout::examine(&mut state, Some(&mut track)).unwrap();
+    let found = &state.findings;
+    assert!(found.len() == 1 && !found[0].blocks && is_right(&state.rig.markers), "{found:?}");
+    assert!(found[0].text.contains("in centimeters instead"), "{found:?}");
+}
+
 /// One marker is 15 to 60 px beside its place in 3 % of the images.
 #[test]
 fn some_wrong_images_accuse_nobody() {

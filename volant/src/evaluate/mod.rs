@@ -184,11 +184,19 @@ pub fn evaluate(options: &EvaluateOptions) -> anyhow::Result<Evaluation> {
         })
         .collect();
     if estimates.iter().all(|q| q.count == 0) {
+        let path = options.estimates.display();
+        let stamps = tracks.estimates.iter().flat_map(|(_, track)| track).map(|(stamp, _)| *stamp);
+        if let Some(last) = stamps.filter(|stamp| truth.at(*stamp).is_some()).max() {
+            bail!(
+                "{path}: --skip {} leaves out all of the run, which lasts {:.1} s; give a shorter \
+                 time",
+                options.skip,
+                last.seconds_since(began).max(0.0)
+            );
+        }
         bail!(
-            "{}: none of its estimates lies within the truth's time ({from} to {to}, without the \
-             first {} s); check that both bags are of one run",
-            options.estimates.display(),
-            options.skip
+            "{path}: none of its estimates lies within the truth's time ({from} to {to}); check \
+             that both bags are of one run"
         );
     }
     Ok(Evaluation { estimates, losses, tracks })

@@ -1,9 +1,12 @@
 //! HTML page of an evaluation: table of errors, curves of the poses and of their errors.
 
 use super::{EvaluateOptions, Evaluation, Truth, report};
-use crate::report::{
-    Axis, Block, ChartError, Curve, Page, Panel, Run, Section, Series, Shape, Sheet, colors,
-    panels, six_curves,
+use crate::{
+    command_line::quoted,
+    report::{
+        Axis, Block, ChartError, Curve, Page, Panel, Run, Section, Series, Shape, Sheet, colors,
+        panels, six_curves,
+    },
 };
 use nalgebra::Isometry3;
 use rig_model::{Stamp, topics};
@@ -40,16 +43,11 @@ pub fn page(evaluation: &Evaluation, options: &EvaluateOptions) -> Result<Page, 
     let six = six_curves(&run, &curves)?;
     let mut blocks = vec![Block::Table(report::rows(&evaluation.estimates))];
     blocks.extend(evaluation.losses.iter().cloned().map(Block::Note));
+    let [bag, truth_bag] = [&options.estimates, &options.truth].map(|p| p.display().to_string());
+    let words: [String; 5] = ["volant".into(), "evaluate".into(), bag, "--truth".into(), truth_bag];
     let mut facts = vec![
         ("Made by".into(), format!("volant {}", env!("CARGO_PKG_VERSION"))),
-        (
-            "Command".into(),
-            format!(
-                "`volant evaluate {} --truth {}`",
-                options.estimates.display(),
-                options.truth.display()
-            ),
-        ),
+        ("Command".into(), format!("`{}`", quoted(&words))),
         ("Run".into(), format!("{seconds:.1} s; the table skips the first {} s", options.skip)),
     ];
     if let Some(q) = evaluation.estimates.iter().find(|q| q.estimate == topics::ODOMETRY) {

@@ -77,15 +77,27 @@ fn an_estimate_of_which_nothing_was_compared_has_no_figures() {
 }
 
 #[test]
+fn an_error_names_the_skipped_time_that_is_longer_than_the_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let options = EvaluateOptions { skip: 10.0, ..options(folder.path()) };
+    odometry(&options.truth, topics::absolute::GROUND_TRUTH, 3.0, 0.0);
+    odometry(&options.estimates, topics::absolute::ODOMETRY, 3.0, 0.0);
+    let error = evaluate(&options).unwrap_err().to_string();
+    assert!(error.contains("out.mcap: --skip 10 ") && error.contains("lasts 3.0 s"), "{error}");
+}
+
+#[test]
 fn the_page_has_the_table_the_curves_and_the_losses() {
     let folder = tempfile::tempdir().unwrap();
-    let options = options(folder.path());
+    let estimates = folder.path().join("my out.mcap");
+    let options = EvaluateOptions { estimates, ..options(folder.path()) };
     odometry(&options.truth, topics::absolute::GROUND_TRUTH, 3.0, 0.0);
     odometry_at(&options.estimates, topics::absolute::ODOMETRY, 3.0, 0.0, 0.002);
     let mut evaluation = evaluate(&options).unwrap();
     evaluation.losses.push("the bag was cut".into());
     let html = page(&evaluation, &options).unwrap().render();
-    for part in ["volant evaluate ", "2.000 / 2.000", "the bag was cut", "error [mm]"] {
+    let command = format!("volant evaluate '{}' --truth ", options.estimates.display());
+    for part in [&*command, "2.000 / 2.000", "the bag was cut", "error [mm]"] {
         assert!(html.contains(part), "{part}");
     }
     assert_eq!(html.matches("<figure>").count(), 2);

@@ -60,7 +60,7 @@ pub enum Mark {
         /// Width.
         width: f64,
     },
-    /// Black text in Helvetica, ASCII.
+    /// Black text in Helvetica, whose encoding in PDF has the characters of Latin-1.
     Text {
         /// Start or middle of the baseline.
         at: [f64; 2],

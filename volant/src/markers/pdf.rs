@@ -17,7 +17,10 @@ pub fn pdf(sheets: &[Sheet], paper: &Paper) -> Vec<u8> {
     let mut pdf = Pdf::new();
     pdf.catalog(catalog).pages(tree);
     pdf.pages(tree).kids((0..sheets.len()).map(page)).count(sheets.len() as i32);
-    pdf.type1_font(font).base_font(Name(b"Helvetica"));
+    // Its codes of printable characters are those of Latin-1.
+    pdf.type1_font(font)
+        .base_font(Name(b"Helvetica"))
+        .encoding_predefined(Name(b"WinAnsiEncoding"));
     let (width, height) = ((paper.width * POINT) as f32, (paper.height * POINT) as f32);
     for (i, sheet) in sheets.iter().enumerate() {
         let mut leaf = pdf.page(page(i));
@@ -48,14 +51,21 @@ fn drawn(sheet: &Sheet, paper: &Paper) -> Vec<u8> {
                 content.move_to(x, y).line_to(end.0, end.1).stroke();
             }
             Mark::Text { at, size, align, text } => {
+                let text = latin_1(text);
                 let width = ADVANCE * size * text.len() as f64;
                 let start = at[0] - if *align == Align::Middle { width / 2.0 } else { 0.0 };
                 let (x, y) = point([start, at[1]]);
                 content.set_fill_gray(0.0).begin_text();
                 content.set_font(FONT, length(*size)).next_line(x, y);
-                content.show(Str(text.as_bytes())).end_text();
+                content.show(Str(&text)).end_text();
             }
         }
     }
     content.finish().to_vec()
+}
+
+/// Encodes a text, with `?` for what Latin-1 lacks: a frame's name may have any character.
+fn latin_1(text: &str) -> Vec<u8> {
+    let code = |c: char| u8::try_from(c).ok().filter(|code| matches!(code, 32..=126 | 160..));
+    text.chars().map(|c| code(c).unwrap_or(b'?')).collect()
 }

@@ -91,3 +91,15 @@ fn the_pdf_has_a_page_per_sheet_and_the_square_in_points() {
     assert_eq!(svg.matches("width=\"76.000\" height=\"76.000\"").count(), 4);
     assert!(svg.contains("width=\"210mm\""));
 }
+
+#[test]
+fn the_pdf_has_one_code_per_character_of_a_text() {
+    let text = "K\u{e4}fig \u{1f680}".to_owned();
+    let mark = Mark::Text { at: [10.0; 2], size: 4.0, align: Align::Start, text };
+    let pdf = pdf(&[Sheet { marks: vec![mark] }], &Paper::A4);
+    let pdf = String::from_utf8_lossy(&pdf);
+    assert!(pdf.contains("/Encoding /WinAnsiEncoding"), "{pdf}");
+    // In hexadecimal digits, since it is no ASCII text.
+    let codes: String = b"K\xe4fig ?".iter().map(|code| format!("{code:02X}")).collect();
+    assert!(pdf.contains(&format!("<{codes}>")), "{codes}: {pdf}");
+}

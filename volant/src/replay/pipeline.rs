@@ -78,8 +78,8 @@ impl Counts {
     }
 }
 
-/// A stamp further ahead of the IMU's, s, is wrong, since no IMU is out for as long; the filter
-/// rejects it. In the output it would be the end of the bag's time.
+/// A stamp further ahead of the filter's time, s, is wrong, since nothing is out for as long; the
+/// filter rejects it. In the output it would be the end of the bag's time.
 const FAR_AHEAD: f64 = 3600.0;
 
 /// The cores and the output.
@@ -91,8 +91,6 @@ pub(super) struct Pipeline {
     output: OutputBag,
     smooth: bool,
     rig_check: RigCheck,
-    /// Stamp of the last IMU sample.
-    last_imu: Option<Stamp>,
 }
 
 impl Pipeline {
@@ -105,7 +103,7 @@ impl Pipeline {
         smooth: bool,
     ) -> Self {
         let rig_check = RigCheck::default();
-        Self { frames, front_end, fusion, output, smooth, rig_check, last_imu: None }
+        Self { frames, front_end, fusion, output, smooth, rig_check }
     }
 
     /// Counts so far.
@@ -175,7 +173,6 @@ impl Pipeline {
     }
 
     fn imu(&mut self, sample: ImuSample) -> Result<(), BagError> {
-        self.last_imu = Some(sample.stamp);
         let counts = &mut self.front_end.counts;
         counts.imu += 1;
         let first = *counts.first_imu.get_or_insert(sample.stamp);
@@ -196,7 +193,7 @@ impl Pipeline {
             }
         }
         self.front_end.counts.climber += 1;
-        if !self.is_far_ahead(sample.stamp) {
+        if !self.is_far_ahead(topics::CLIMBER_TRANSFORM, sample.stamp) {
             let message = convert::climber_message(&sample, &self.frames);
             self.output.put(topics::CLIMBER_TRANSFORM, sample.stamp, &message)?;
             self.output.transform(sample.stamp, message)?;
@@ -228,7 +225,7 @@ impl Pipeline {
             observations.markers.iter().filter(|(_, m)| m.state == MarkerState::Detected).count();
         self.front_end.counts.markers += 1;
         self.front_end.counts.detected += detected as u64;
-        if !self.is_far_ahead(observations.stamp) {
+        if !self.is_far_ahead(topics::MARKERS, observations.stamp) {
             let message = convert::markers_message(&self.frames.camera, &observations);
             self.output.put(topics::MARKERS, observations.stamp, &message)?;
         }
@@ -236,8 +233,22 @@ impl Pipeline {
         self.write_smoothed(false)
     }
 
-    fn is_far_ahead(&self, stamp: Stamp) -> bool {
-        self.last_imu.is_some_and(|imu| stamp.seconds_since(imu) > FAR_AHEAD)
+    /// Whether a message is so far ahead of the filter that it is left out of the output, which is
+    /// counted.
+    fn is_far_ahead(&mut self, topic: &str, stamp: Stamp) -> bool {
+        let counts = &mut self.front_end.counts;
+        let newest = self.fusion.status().newest_imu.max(counts.last_odometry);
+        let far = newest.filter(|newest| stamp.seconds_since(*newest) > FAR_AHEAD);
+        if let Some(newest) = far {
+            counts.warn(&format!("output {topic}"), || {
+                format!(
+                    "{topic}: the message at {stamp} is more than an hour ahead of the IMU samples \
+                     and the odometry, which are at {newest}, and is left out of the output: check \
+                     its publisher's clock"
+                )
+            });
+        }
+        far.is_some()
     }
 
     fn fuse(&mut self, sample: Sample) -> Result<(), BagError> {

@@ -18,8 +18,8 @@ pub enum Action {
     },
     /// Write all readable messages of damaged bags to a new bag
     Recover {
-        /// .mcap files or rosbag2 folders, in order; of a folder all its .mcap and .mcap.zstd
-        /// files, with or without metadata.yaml
+        /// .mcap files or rosbag2 folders, in order; of a folder the .mcap and .mcap.zstd files of
+        /// the recording, with or without metadata.yaml
         #[arg(required = true)]
         bags: Vec<PathBuf>,
         /// Bag to write: an .mcap file or a new folder
@@ -85,7 +85,10 @@ fn recover(paths: &[PathBuf], out: &Path, options: WriteOptions) -> anyhow::Resu
     let (mut files, mut losses) = (vec![], vec![]);
     for path in paths {
         match files_to_recover(path) {
-            Ok(found) => files.extend(found),
+            Ok((found, notes)) => {
+                files.extend(found);
+                losses.extend(notes);
+            }
             Err(error) => losses.push(error.to_string()),
         }
     }

@@ -10,7 +10,7 @@ use node_kit::{files, out, outln};
 use pose_fusion::Model;
 use std::path::{Path, PathBuf};
 use volant::{
-    command_line::UsageError,
+    command_line::{UsageError, quoted},
     replay::{ReplayOptions, ReplayReport, decoding_threads, replay},
 };
 
@@ -101,6 +101,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let check = check_command(arguments);
         terminal::warn(format!("rig file: {finding}; find the cause with `{check}`"));
     }
+    let namespace = arguments.topics.namespace.trim_matches('/');
+    if !namespace.is_empty() {
+        outln!("namespace /{namespace}")?;
+    }
     out!("{}", summary(&report, model, workers))?;
     outln!("wrote     {}", arguments.out.display())?;
     Ok(())
@@ -118,8 +122,7 @@ fn check_command(arguments: &Arguments) -> String {
         add("--namespace", topics.namespace.clone());
     }
     topics.remap.iter().for_each(|remap| add("--remap", remap.to_string()));
-    // No argument contains a NUL byte.
-    shlex::try_join(words.iter().map(String::as_str)).unwrap_or_else(|_| words.join(" "))
+    quoted(&words)
 }
 
 fn summary(report: &ReplayReport, model: Model, workers: usize) -> String {

@@ -81,7 +81,7 @@ pub fn read(path: &Path, more: &[PathBuf], namespace: &str) -> anyhow::Result<Se
         Err(error) if !matches!(error, ParameterError::Missing { .. }) => {
             return Err(error).with_context(|| files.context::<ClimberNode>());
         }
-        climber => climber.map(|c| c.config()).map_err(|e| e.to_string()),
+        climber => climber.map(|c| c.config()).map_err(|e| files.in_the_rig_file(e).to_string()),
     };
     Ok(Settings { tracker: tracker.config(&rig), rig, fusion: fusion.core, climber })
 }
@@ -112,7 +112,7 @@ impl<'a> Files<'a> {
 
     fn of<S: NodeShell>(&self) -> anyhow::Result<(S::Parameters, ParameterMap)> {
         let store = self.store::<S>()?;
-        let set = S::Parameters::from_map(store.values());
+        let set = S::Parameters::from_map(store.values()).map_err(|e| self.in_the_rig_file(e));
         Ok((set.with_context(|| self.context::<S>())?, store.values().clone()))
     }
 
@@ -120,6 +120,20 @@ impl<'a> Files<'a> {
         let name = NodeName::new(&self.namespace, S::NAME)?;
         self.ros.check_node_names(&name, S::NAME)?;
         self.ros.declare::<S::Parameters>(&name).with_context(|| self.context::<S>())
+    }
+
+    /// The remedy for a missing parameter without the options of a live node, which the commands
+    /// over a bag lack.
+    fn in_the_rig_file(&self, error: ParameterError) -> ParameterError {
+        match error {
+            ParameterError::Missing { name, description } => {
+                let path = self.paths[0].display();
+                ParameterError::Invalid(format!(
+                    "the parameter `{name}` must be given. {description} Set it in {path}"
+                ))
+            }
+            error => error,
+        }
     }
 
     fn context<S: NodeShell>(&self) -> String {

@@ -73,27 +73,30 @@ pub fn run(words: Vec<String>) -> ExitCode {
     let mut foxglove: Option<String> = None;
     let mut rest = rest.into_iter();
     while let Some(word) = rest.next() {
-        match word.as_str() {
-            "--help" | "-h" => {
+        let (option, value) = match word.split_once('=') {
+            Some((option, value)) => (option, Some(value.to_owned())),
+            None => (word.as_str(), None),
+        };
+        match option {
+            "--help" | "-h" if value.is_none() => {
                 return match out!("{HELP}\nprocess:\n{}", scheduling::HELP) {
                     Ok(()) => ExitCode::SUCCESS,
                     Err(error) => error.report("volant up"),
                 };
             }
             "--rig" | "--params-file" => {
-                let Some(path) = rest.next() else { return wrong(format!("{word} needs a file")) };
+                let Some(path) = value.or_else(|| rest.next()) else {
+                    return wrong(format!("{word} needs a file"));
+                };
                 if let Err(error) = files.add_file(path.into()) {
                     return failed(&error.into());
                 }
             }
-            "--foxglove" => foxglove = Some(String::new()),
-            word if word.starts_with("--foxglove=") => {
-                foxglove = word.split_once('=').map(|(_, address)| address.to_owned());
-            }
-            name => match known.iter().find(|n| n.name == name) {
+            "--foxglove" => foxglove = Some(value.unwrap_or_default()),
+            _ => match known.iter().find(|n| n.name == word) {
                 Some(node) if !chosen.iter().any(|n| n.name == node.name) => chosen.push(*node),
-                Some(_) => return wrong(format!("`{name}` is given twice")),
-                None => return wrong(format!("there is no node `{name}`")),
+                Some(_) => return wrong(format!("`{word}` is given twice")),
+                None => return wrong(format!("there is no node `{word}`")),
             },
         }
     }

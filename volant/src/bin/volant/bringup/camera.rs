@@ -2,8 +2,8 @@
 
 use super::{Walk, dialog};
 use crate::calibrate::{self, Output};
-use anyhow::{Context, Result};
-use bag::BagReader;
+use anyhow::{Context, Result, anyhow};
+use bag::{BagReader, BagSummary};
 use node_kit::{convert, outln};
 use rig_model::{CameraModel, Stamp, topics};
 use std::{path::Path, process::Command};
@@ -31,15 +31,23 @@ fn read(path: &Path) -> Result<Stream> {
     let summary = BagReader::summary(path)?;
     let names = TopicNames::default();
     let choose = |name, kind| -> Result<Option<String>> {
-        let found = names.choose(&summary, &[(name, kind)]);
-        Ok(found.with_context(|| path.display().to_string())?.map(|(_, name)| name))
+        let found = names.choose(&summary, &[(name, kind)]).map_err(|_| {
+            let (found, ours) = (summary.topics_of(kind).join(", "), names.resolve(name));
+            anyhow!("{}: several topics of {kind}: {found}; record {ours} only", path.display())
+        });
+        Ok(found?.map(|(_, name)| name))
     };
-    let images = ImageTopic::of(&summary, &names).with_context(|| path.display().to_string())?;
+    let images = images_of(&summary, &names)?;
     let timed = match &images {
         Some(images) => Some(images.name().to_owned()),
         None => choose(topics::MARKERS, MarkerObservations::TYPE_NAME)?,
     };
-    let camera = choose(topics::CAMERA_INFO, CameraInfo::TYPE_NAME)?;
+    let beside = images.as_ref().map(|images| calibrate::colors::camera_info(images.name()));
+    let known = summary.topics_of(CameraInfo::TYPE_NAME);
+    let camera = match beside.filter(|beside| known.contains(&beside.as_str())) {
+        Some(beside) => Some(beside),
+        None => choose(topics::CAMERA_INFO, CameraInfo::TYPE_NAME)?,
+    };
     let mut stream = Stream { images, ..Stream::default() };
     let mut bag = BagReader::open(path)?;
     let mut start = None;
@@ -68,6 +76,19 @@ fn read(path: &Path) -> Result<Stream> {
         stream.times.push((stamp, logged.seconds_since(start)));
     }
     Ok(stream)
+}
+
+/// The topic with the images of the rig's camera; where a bag has several cameras and none of them
+/// has its name, the operator chooses one.
+fn images_of(bag: &BagSummary, names: &TopicNames) -> Result<Option<ImageTopic>> {
+    if let Ok(images) = ImageTopic::of(bag, names) {
+        return Ok(images);
+    }
+    let all = ImageTopic::all(bag);
+    let topics: Vec<&str> = all.iter().map(ImageTopic::name).collect();
+    let question = format!("  Images on {}. The topic of the rig's camera", topics.join(", "));
+    let chosen = dialog::choose(&question, &topics)?;
+    Ok(all.into_iter().find(|images| images.name() == chosen))
 }
 
 /// Rate, stamps, exposure, colors.
@@ -110,12 +131,13 @@ pub fn camera(walk: &mut Walk) -> Result<()> {
     let Some(images) = stream.images else {
         return walk.note("images", "only markers in the recording: exposure and colors unchecked");
     };
+    let topic = Some(images.name().to_owned());
     exposure(walk, &bag, images)?;
     let found = calibrate::colors::run(&calibrate::colors::Arguments {
         source: bag.display().to_string(),
         rig: Some(walk.rig.clone()),
         pick: vec![],
-        topic: None,
+        topic,
         duration: 3.0,
         output: Output::default(),
     });

@@ -205,7 +205,7 @@ fn bag(
 }
 
 /// Name of the camera_info beside an image topic.
-fn camera_info(images: &str) -> String {
+pub fn camera_info(images: &str) -> String {
     let raw = images.strip_suffix("/compressed").unwrap_or(images);
     let camera = raw.rsplit_once('/').map_or("", |(camera, _)| camera);
     format!("{camera}/camera_info")
