@@ -1,6 +1,6 @@
 //! Files of a bag: a lone file, or those of a rosbag2 folder.
 
-use crate::{BagError, file_reader::io_error, metadata::Folder};
+use crate::{BagError, file_reader::io_error, metadata::Folder, summary::has_footer};
 use std::{
     collections::BTreeSet,
     fs::{self, File},
@@ -74,6 +74,8 @@ fn files_of_recording(found: Vec<PathBuf>, named: Vec<PathBuf>) -> (Vec<PathBuf>
     let recordings: BTreeSet<String> = splits.map(|(recording, _)| recording).collect();
     let has_splits = found.iter().any(|file| split(file).is_some());
     let present: BTreeSet<PathBuf> = found.iter().cloned().collect();
+    let replaced = found.iter().filter(|file| replaces_cut_off_file(file));
+    let replaced: BTreeSet<PathBuf> = replaced.map(|file| uncompressed(file)).collect();
     let (mut files, mut notes) = (vec![], vec![]);
     for file in found {
         let (plain, shown) = (uncompressed(&file), file.display());
@@ -84,7 +86,12 @@ fn files_of_recording(found: Vec<PathBuf>, named: Vec<PathBuf>) -> (Vec<PathBuf>
             None => !has_list && !has_splits,
         };
         // A recorder that died while it compressed a file has left both.
-        if plain != file && present.contains(&plain) {
+        if plain == file && replaced.contains(&plain) {
+            notes.push(format!(
+                "{shown}: left out, since it is cut off and compressed beside itself; to read it \
+                 too, give it beside the folder"
+            ));
+        } else if plain != file && present.contains(&plain) && !replaced.contains(&plain) {
             notes.push(format!(
                 "{shown}: left out, since it is {} compressed; to read it too, give it beside the \
                  folder",
@@ -120,8 +127,18 @@ fn is_mcap(file: &Path) -> bool {
 
 /// Path of a file before its compression: `run_3.mcap.zstd` → `run_3.mcap`.
 fn uncompressed(file: &Path) -> PathBuf {
-    let is_compressed = file.extension().is_some_and(|ending| ending != "mcap");
+    let is_compressed = file.extension().is_some_and(|ending| ending == "zstd" || ending == "zst");
     if is_compressed { file.with_extension("") } else { file.to_owned() }
+}
+
+/// Whether a compressed file is to be read instead of the uncompressed one beside it, which was cut
+/// off, as by an interrupted decompression.
+fn replaces_cut_off_file(file: &Path) -> bool {
+    let plain = uncompressed(file);
+    plain != file
+        && plain.exists()
+        && !has_footer(&plain)
+        && fs::metadata(file).is_ok_and(|compressed| compressed.len() > 0)
 }
 
 /// Name of a split recording, and the number of one of its files: `run_12.mcap` → (`run`, 12).
@@ -271,6 +288,9 @@ mod tests {
         metadata(&format!("{HEAD}    - old_0.mcap\n"));
         let files = ["run_9.mcap.zstd", "run_10.mcap", "old_0.mcap"];
         assert_eq!(recovered(dir.path())[0], files);
+        metadata(&format!("{HEAD}    - run_10.mcap\n    - run.0\n    - run.1\n"));
+        let files = ["run_9.mcap.zstd", "run_10.mcap", "run.0", "run.1"];
+        assert_eq!(recovered(dir.path())[0], files);
         let dir = folder_with(&["b.mcap", "a.mcap"]);
         assert_eq!(recovered(dir.path())[0], ["a.mcap", "b.mcap"]);
     }
@@ -289,6 +309,17 @@ mod tests {
         let [found, left_out] = recovered(dir.path());
         assert_eq!(found, files);
         assert_eq!(left_out, ["fixed.mcap", "run_3.mcap.zstd"]);
+        // The uncompressed file is read unless it was cut off.
+        fs::write(dir.path().join("run_3.mcap.zstd"), "compressed").unwrap();
+        let [found, left_out] = recovered(dir.path());
+        assert_eq!(found, ["run_2.mcap", "run_3.mcap.zstd", "run_4.mcap.zstd"]);
+        assert_eq!(left_out, ["fixed.mcap", "run_3.mcap"]);
+        let mut end = vec![2];
+        end.extend_from_slice(&20_u64.to_le_bytes());
+        end.extend_from_slice(&[0; 20]);
+        end.extend_from_slice(mcap::MAGIC);
+        fs::write(dir.path().join("run_3.mcap"), end).unwrap();
+        assert_eq!(recovered(dir.path())[0], files);
     }
 
     #[test]

@@ -83,6 +83,8 @@ const OTHER_JOINTS: &str = "other joints";
 const MOST_NAMES: usize = 8;
 /// Longest gap after a jump, usual intervals: after a longer one the climber may have moved as far.
 const LONGEST_GAP: f64 = 5.0;
+/// It is no shorter than this, s: readings may come in bursts.
+const LEAST_GAP: f64 = 0.25;
 
 impl Climber {
     /// Creates the core in its initial state.
@@ -320,7 +322,7 @@ impl Climber {
         let usual = self.interval.unwrap_or(0.0);
         let candidate = self.candidate.filter(|candidate| {
             let gap = now.stamp.seconds_since(candidate.last.stamp);
-            gap <= LONGEST_GAP * self.interval.unwrap_or(candidate.after)
+            gap <= (LONGEST_GAP * self.interval.unwrap_or(candidate.after)).max(LEAST_GAP)
         });
         let Some(candidate) = candidate else {
             let Some(jump) = self.jump(last, &now, elapsed) else { return Ok(now) };

@@ -66,6 +66,10 @@ const BACKLOG: f64 = 0.3;
 /// Smallest number of missing messages that is counted without a counter. Bursts of an adapter may
 /// delay all messages by one period, which is no loss.
 const FEWEST_MISSING: f64 = 2.0;
+/// Shortest time that missing messages lack which is counted without a counter, s: three messages
+/// at 100 Hz, less their jitter. A host or an adapter that becomes slower delays all messages by 5
+/// to 25 ms for good, which at 400 Hz are several periods, but no loss.
+const SHORTEST_LOSS: f64 = 0.027;
 /// Part of a period by which all delays of the last [`BACKLOG`] may be too small or too large.
 const JITTER: f64 = 0.2;
 
@@ -137,14 +141,18 @@ impl DeviceTime {
 
     /// Number of messages that are missing before one without a counter: the smallest number since
     /// the gap, once the late messages have arrived.
+    ///
+    /// Zero where they lack less than [`SHORTEST_LOSS`]: such a loss is not distinguishable from a
+    /// latency that has increased, and all later device times are too early by it.
     fn missing(&mut self, arrival: Stamp) -> i64 {
-        let periods = arrival.seconds_since(self.delays.first) / self.period();
+        let period = self.period();
+        let periods = arrival.seconds_since(self.delays.first) / period;
         let delay = periods - (self.count + 1) as f64;
         let delays = &mut self.delays;
         // Rises with the largest drift, which would look like a loss after hours.
         delays.fastest = (delays.fastest + MAX_DRIFT).min(delay);
         let missing = delay - delays.fastest;
-        if missing < FEWEST_MISSING - JITTER {
+        if missing < FEWEST_MISSING - JITTER || missing * period < SHORTEST_LOSS {
             delays.missing = None;
             return 0;
         }
@@ -277,6 +285,17 @@ mod tests {
                     assert_eq!(lost, if k < 400 { 0 } else { missing });
                 }
             }
+        }
+    }
+
+    #[test]
+    fn without_a_counter_a_latency_that_increases_is_no_loss() {
+        let mut time = DeviceTime::new(288, 115_200);
+        for k in 0..2000_i64 {
+            let latency = if k < 800 { 0.0 } else { 0.01 };
+            let arrival = at(k as f64 * 0.0025 + latency);
+            let placed = time.place(&Measurement::default(), arrival);
+            assert_eq!(placed, Placed { device: k * 2_500_000, ..Placed::default() });
         }
     }
 

@@ -198,6 +198,13 @@ mod tests {
     }
 
     #[test]
+    fn invalid_logs_are_rejected() {
+        let error = |log: &[u8]| table(log, None).unwrap_err().to_string();
+        assert!(error(b"").starts_with("the log is empty"));
+        assert!(error(b"not a log").starts_with("no valid frame in 9 bytes"));
+    }
+
+    #[test]
     fn a_frame_that_is_cut_off_is_skipped() {
         let cut = frame(MessageId::MT_DATA2, &[0x10, 0x20, 2, 1, 2]);
         let log = [&cut[..], &cut[..6]].concat();

@@ -206,6 +206,7 @@ fn an_offset_that_changes_by_milliseconds_is_followed() {
 /// Images that a frozen filter does not use cannot restart it either.
 #[test]
 fn a_frozen_filter_keeps_its_pose_when_the_offset_changes() {
+    // Stamps that go back: a gap in them excuses the images, and nothing is searched.
     let (run, inputs) = changing(1, -0.06);
     let mut fusion = Fusion::new(simulated::rig(), simulated::config());
     let (mut frozen, mut lost) = (0, 0);

@@ -238,6 +238,23 @@ fn a_wrong_stamp_or_a_gap_costs_few_readings_of_a_moving_climber() {
 }
 
 #[test]
+fn a_step_of_readings_that_come_in_bursts_is_accepted_after_the_patience() {
+    let mut climber = climber();
+    let mut relocated = None;
+    for i in 0..200 {
+        // Five within 2 ms, every 100 ms.
+        let seconds = 0.1 * f64::from(i / 5) + 4e-4 * f64::from(i % 5);
+        let x = if i < 100 { 0.0 } else { 1.0 };
+        let out = process(&mut climber, &reading(seconds, x, 0.0, 0.0));
+        if let [Output::Warning(Warning::Relocated { .. }), _] = out.as_slice() {
+            relocated.get_or_insert(i);
+        }
+    }
+    let patience = i32::try_from(ClimberConfig::default().jump_patience).unwrap();
+    assert!(relocated.is_some_and(|i| (100..=101 + patience).contains(&i)), "{relocated:?}");
+}
+
+#[test]
 fn an_encoder_of_the_turn_may_wrap() {
     // At the upper end of its range (0 to 2π, and ±π), forwards and backwards.
     for end in [TAU, PI] {

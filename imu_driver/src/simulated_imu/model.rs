@@ -246,13 +246,12 @@ impl SimulatedImu {
         let sends =
             |id: u16| outputs.is_none_or(|outputs| outputs.iter().any(|o| o.id & 0xFFF0 == id));
         let settings = self.config.format.settings;
-        let frame = match outputs {
-            Some(_) => GlobalFrame::EastNorthUp,
-            None => settings.global_frame(),
+        let (frame, form) = match outputs {
+            Some(_) => (GlobalFrame::EastNorthUp, Some(Attitude::Quaternion([1.0, 0.0, 0.0, 0.0]))),
+            None => (settings.global_frame(), settings.identity()),
         };
         let q = enu_from_global(frame).inverse() * s.enu_from_imu;
-        let orientation = settings
-            .identity()
+        let orientation = form
             .filter(|_| sends(xdi::QUATERNION))
             .map(|form| Orientation { attitude: attitude(form, &q), frame });
         let ticks = (at.as_nanos() as f64 * (1.0 + self.config.clock_ppm * 1e-6) / 1e5).round();
@@ -306,5 +305,24 @@ fn attitude(form: Attitude, q: &UnitQuaternion<f64>) -> Attitude {
             columns.copy_from_slice(m.matrix().as_slice());
             Attitude::Matrix(columns)
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::protocol::{OutputEntry, OutputSettings};
+
+    #[test]
+    fn the_form_of_legacy_settings_does_not_apply_to_mtdata2() {
+        let outputs = Some(vec![OutputEntry { id: xdi::QUATERNION, rate: 100 }]);
+        let mut config = SimulatedImuConfig { outputs, ..SimulatedImuConfig::default() };
+        // Euler angles.
+        config.format.settings = OutputSettings::from_bits_retain(1 << 2);
+        let sample = SimulatedSample::stationary();
+        let imu = SimulatedImu::new(config, Box::new(move |_| sample), Stamp::default());
+        let orientation = imu.measurement(&sample, Stamp::default()).orientations[0];
+        let attitude = orientation.map(|orientation| orientation.attitude);
+        assert!(matches!(attitude, Some(Attitude::Quaternion(_))), "{attitude:?}");
     }
 }

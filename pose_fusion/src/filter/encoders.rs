@@ -25,6 +25,8 @@ const MOVES: f64 = 5.0;
 const UNUSED: f64 = 0.15;
 /// Residual beyond which the readings of suspended encoders have ever less weight, m and rad.
 const FAR: f64 = 0.1;
+/// Errors of their readings within this time are the same, s.
+const ONE: f64 = 0.02;
 
 impl Filter {
     /// Responds to an encoder reading. Returns whether the time line was replaced.
@@ -46,7 +48,14 @@ impl Filter {
             if fresh {
                 self.climber.adapt_jerk(innovation.nis);
             }
-            self.publisher.note_encoders(at);
+            if !self.trust.is_suspended() {
+                self.publisher.note_encoders(at);
+            }
+            return false;
+        }
+        if self.trust.is_suspended() {
+            // One that was used loosely, and is processed again.
+            self.set_excluded(place, true);
             return false;
         }
         let first = self.history.get(0).map_or(at, |first| first.stamp);
@@ -112,13 +121,14 @@ impl Filter {
 
     /// Uses a reading of suspended encoders that move with a sigma as large as its residual, and
     /// larger beyond [`FAR`]: readings that are late bound the drift of the climber, and those that
-    /// are far off have no weight.
+    /// are far off have no weight. All readings within [`ONE`] count as one.
     fn use_loosely(&mut self, place: usize, innovation: &Innovation<3>) {
+        let count = self.climber.readings_in(ONE);
         if let Some(entry) = self.history.get_mut(place)
             && let Event::Encoders { reading, excluded, .. } = &mut entry.event
         {
             let sigmas = innovation.residual.map(|r| r.abs() * (r.abs() / FAR).max(1.0));
-            reading.variance = reading.variance.sup(&sigmas.component_mul(&sigmas));
+            reading.variance = reading.variance.sup(&(sigmas.component_mul(&sigmas) * count));
             *excluded = false;
         }
         self.history.rewind(place);

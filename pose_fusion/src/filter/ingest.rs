@@ -351,7 +351,7 @@ impl Filter {
         if ahead_s > AHEAD && self.history.len() > CAPACITY / 2 {
             // For a long time neither IMU samples nor images have come, which would process it: it
             // must not push out the newest state.
-            return self.publisher.warn(Warning::NotKept { from, stamp, silent_s: ahead_s });
+            return self.publisher.reject(Warning::NotKept { from, stamp, ahead_s });
         }
         let event = Event::Encoders { reading, excluded: self.trust.is_suspended(), fresh: true };
         self.history.insert(at, event, ImuReading::default());

@@ -55,6 +55,8 @@ const VELOCITY_KNOWN: f64 = 0.1;
 const CARRIED: f64 = 0.25;
 /// Random walk of the camera time offset, s/√s: clocks that drift apart by up to 200 ppm.
 const OFFSET_WALK: f64 = 1e-4;
+/// Images that contradict for longer without encoder readings are a shock, s.
+const UNREAD: f64 = 1.0;
 /// The rope is compared from this time after the initialization on, s.
 const SETTLED: f64 = 2.0;
 
@@ -113,9 +115,10 @@ impl Filter {
         repropagation::step(&mut self.history, &context, end)
     }
 
-    /// Returns whether encoder readings that were due at an instant of the time line are missing.
-    fn misses_encoders(&self, at: Stamp) -> bool {
-        self.climber.misses_readings(at.plus_seconds(-self.encoder_offset()))
+    /// Returns for how long encoder readings that were due at an instant of the time line are missing,
+    /// s.
+    fn encoders_missing_for(&self, at: Stamp) -> Option<f64> {
+        self.climber.missing_for(at.plus_seconds(-self.encoder_offset()))
     }
 
     /// Process noise apart from the IMU's, which comes with each sample.
@@ -123,7 +126,8 @@ impl Filter {
         let c = &self.setup.config;
         let next = self.history.get(self.history.processed()).map(|entry| entry.stamp);
         let at = next.or(self.arrival.end());
-        let free = self.trust.is_suspended() || at.is_some_and(|at| self.misses_encoders(at));
+        let missing = at.and_then(|at| self.encoders_missing_for(at)).is_some();
+        let free = self.trust.is_suspended() || missing;
         let factor = if free { FREE_JERK } else { self.climber.jerk_factor };
         let densities = self.imu.densities(&self.setup.rig.imu);
         ProcessNoise {
@@ -169,10 +173,10 @@ impl Filter {
             1 if entry.state.sigmas(ATTITUDE).max() < ATTITUDE_KNOWN => record.used as usize,
             detected => detected,
         };
-        // Without readings the climber may have moved, which is no shock of the platform.
-        let excused = self.disturbances.is_climber_disturbed(at, SETTLING)
-            || moves_off
-            || self.misses_encoders(at);
+        // Without readings the climber may have moved, which is no shock of the platform; later its
+        // covariance explains that.
+        let missing = self.encoders_missing_for(at).is_some_and(|age| age < UNREAD);
+        let excused = self.disturbances.is_climber_disturbed(at, SETTLING) || moves_off || missing;
         let settled =
             self.lock_out.initialized_at.is_some_and(|i| stamp.seconds_since(i) > SETTLED);
         if record.used >= 3 && !excused && settled {

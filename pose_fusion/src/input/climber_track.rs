@@ -16,9 +16,9 @@ const KEPT: usize = 400;
 const NEAR: f64 = 0.25;
 /// Readings that are less than this apart are interpolated without more uncertainty, s.
 const INTERPOLATED: f64 = 0.1;
-/// Readings are missing after this many of their intervals, the mean of the last [`RECENT`].
+/// Readings are missing after this many of the usual intervals of the last [`RECENT`].
 const MISSED: f64 = 2.0;
-const RECENT: usize = 8;
+const RECENT: usize = 32;
 /// Share of a reading's latency in the running mean.
 const LATENCY_SHARE: f64 = 0.1;
 /// Shortest span of readings that gives rates, s.
@@ -146,16 +146,43 @@ impl ClimberTrack {
         self.latency += LATENCY_SHARE * (latency.clamp(0.0, NEAR) - self.latency);
     }
 
-    /// Returns whether readings that were due before an instant are missing: the last one is older
-    /// than [`MISSED`] times their usual interval, and than their latency explains.
-    pub fn misses_readings(&self, stamp: Stamp) -> bool {
+    /// Returns the age at an instant of the last reading before it, where readings that were due are
+    /// missing, s: where it is older than [`MISSED`] times their usual interval, and than their
+    /// latency explains.
+    pub fn missing_for(&self, stamp: Stamp) -> Option<f64> {
         let after = self.readings.partition_point(|(at, _, _)| *at <= stamp);
-        let Some(last) = after.checked_sub(1).filter(|last| *last > 0) else { return false };
-        let first = last.saturating_sub(RECENT);
-        let (first_at, last_at) = (self.readings[first].0, self.readings[last].0);
-        let usual = last_at.seconds_since(first_at) / (last - first) as f64;
-        let due = (MISSED * usual).max(SHORTEST) + 2.0 * self.latency;
-        stamp.seconds_since(last_at) > due
+        let last = after.checked_sub(1).and_then(|last| self.readings.get(last))?;
+        let age = stamp.seconds_since(last.0);
+        // Not searched at each step.
+        if age <= SHORTEST {
+            return None;
+        }
+        let due = (MISSED * self.interval(after)?).max(SHORTEST) + 2.0 * self.latency;
+        (age > due).then_some(age)
+    }
+
+    /// Returns the usual interval of the [`RECENT`] readings before a place, s: the second longest.
+    /// Readings may come in bursts, and one interval may be a dropout.
+    fn interval(&self, end: usize) -> Option<f64> {
+        let (mut longest, mut second) = (0.0, 0.0);
+        for i in end.saturating_sub(RECENT).max(1)..end {
+            let interval = self.readings[i].0.seconds_since(self.readings[i - 1].0);
+            if interval > longest {
+                (longest, second) = (interval, longest);
+            } else if interval > second {
+                second = interval;
+            }
+        }
+        (longest > 0.0).then_some(if second > 0.0 { second } else { longest })
+    }
+
+    /// Returns how many readings come in a time of seconds, at least one.
+    pub fn readings_in(&self, seconds: f64) -> f64 {
+        let (Some(first), Some(last)) = (self.readings.front(), self.readings.back()) else {
+            return 1.0;
+        };
+        let span = last.0.seconds_since(first.0).max(seconds);
+        (seconds * self.readings.len() as f64 / span).max(1.0)
     }
 
     /// Returns the newest reading: stamp; x, y, turn; height and tilt.
@@ -244,6 +271,33 @@ impl ClimberTrack {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn readings_are_missing_after_two_of_their_intervals_however_they_come() {
+        let rest = ClimberHeightTilt { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() };
+        let start = Stamp::from_nanos(1_760_001_000_000_000_000);
+        // Readings in a burst, interval of the bursts (s), latency (s), age that is missing (s).
+        for (burst, interval, latency, due) in [
+            (1, 0.1, 0.0, 0.2),
+            (1, 0.02, 0.0, 0.04),
+            (1, 0.02, 0.05, 0.14),
+            (1, 0.001, 0.0, 0.03),
+            (20, 0.1, 0.0, 0.2),
+        ] {
+            let mut track = ClimberTrack::new(&ClimberConfig::default());
+            for i in 0..100 {
+                // The last interval is a dropout of 2 s.
+                let gap = if i < 99 { 0.0 } else { 2.0 };
+                let t = f64::from(i / burst) * interval + f64::from(i % burst) * 3e-4 + gap;
+                track.add(start.plus_seconds(t), Vector3::zeros(), rest);
+                track.note_latency(latency);
+            }
+            let last = track.newest().unwrap().0;
+            let missing = |age: f64| track.missing_for(last.plus_seconds(age)).is_some();
+            let found = [missing(0.9 * due), missing(1.1 * due)];
+            assert_eq!(found, [false, true], "{burst} every {interval} s, {latency} s old");
+        }
+    }
 
     #[test]
     fn an_instant_beyond_the_readings_is_where_the_climber_has_moved_to() {

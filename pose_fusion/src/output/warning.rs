@@ -22,10 +22,10 @@ pub enum Warning {
     )]
     BehindImages { stamp: Stamp, behind_s: f64 },
     #[error(
-        "neither IMU samples nor images for {silent_s:.1} s: {from} at {stamp} is not kept; check \
-         both and their clocks"
+        "{from} at {stamp} is {ahead_s:.1} s after the newest IMU sample or image and is rejected: \
+         check both, and the clocks"
     )]
-    NotKept { from: Source, stamp: Stamp, silent_s: f64 },
+    NotKept { from: Source, stamp: Stamp, ahead_s: f64 },
     #[error("{from}: the stamp is zero; its publisher must set header.stamp; rejected")]
     NoStamp { from: Source },
     #[error("{from} at {stamp} arrived twice; the second is rejected: look for a second publisher")]
@@ -121,6 +121,7 @@ impl Warning {
             | Self::NoStamp { from }
             | Self::Duplicate { from, .. }
             | Self::Ahead { from, .. }
+            | Self::NotKept { from, .. }
             | Self::Jump { from, .. } => Some(*from),
             Self::BehindImages { .. } => Some(Source::Imu),
             _ => None,

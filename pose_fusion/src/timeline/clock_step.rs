@@ -230,6 +230,18 @@ mod tests {
     }
 
     #[test]
+    fn a_clock_that_steps_alone_is_found_with_its_step() {
+        for by in [-0.5, -0.08, 0.08, 0.5] {
+            for event in
+                [Event { imu: by, ..Event::default() }, Event { camera: -by, ..Event::default() }]
+            {
+                let found = found(event);
+                assert!(found.len() == 1 && (found[0] - by).abs() < 0.01, "{by}: {found:?}");
+            }
+        }
+    }
+
+    #[test]
     fn losses_stalls_delays_and_steps_of_all_clocks_are_no_step() {
         for t in [0.1, 0.3, 0.9] {
             for event in [

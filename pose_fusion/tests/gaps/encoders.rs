@@ -86,7 +86,7 @@ fn late_encoders_bound_the_drift_by_their_delay() {
             Some(input)
         },
     );
-
+    // The covariance contains `clock.climber_sigma`, 2 ms.
     assert!(error < 0.1, "{error} m");
 }
 

@@ -44,10 +44,15 @@ fn send(id: u32, signal: Signal) -> io::Result<()> {
 
 /// Ends all processes that run, before this one ends without their [`Drop`].
 pub fn end_all() {
-    let all = running().clone();
-    for (id, grace) in &all {
-        let _ = send(*id, if grace.is_zero() { Signal::KILL } else { Signal::INT });
-    }
+    let all = {
+        // Held while the signals are sent: meanwhile no other thread waits for one of them, after
+        // which its id could be that of another process.
+        let running = running();
+        for (id, grace) in running.iter() {
+            let _ = send(*id, if grace.is_zero() { Signal::KILL } else { Signal::INT });
+        }
+        running.clone()
+    };
     for (id, grace) in all {
         let mut left = grace;
         while !left.is_zero()

@@ -27,12 +27,14 @@ pub struct Recording {
 pub const PERTURBED_FROM: f64 = 5.0;
 
 /// Returns the folders of recordings with truth in `bags` whose name contains `only`, sorted.
+///
+/// Whether the other files are there shows when they are read, which names the missing one.
 pub fn folders(bags: &Path, only: &str) -> anyhow::Result<Vec<PathBuf>> {
     let entries = fs::read_dir(bags).with_context(|| bags.display().to_string())?;
     let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let mut folders: Vec<PathBuf> = entries
         .filter_map(|entry| Some(entry.ok()?.path()))
-        .filter(|path| ["in.mcap", "truth.mcap"].iter().all(|file| path.join(file).is_file()))
+        .filter(|path| path.join("truth.mcap").is_file())
         .filter(|path| name(path).contains(only))
         .collect();
     folders.sort();
@@ -99,5 +101,20 @@ impl Recording {
             Input::Camera(camera) => Some(camera),
             _ => None,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_recording_without_its_bag_is_listed() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = dir.path().join("run");
+        fs::create_dir(&run).unwrap();
+        fs::write(run.join("truth.mcap"), "").unwrap();
+        fs::create_dir(dir.path().join("other")).unwrap();
+        assert_eq!(folders(dir.path(), "").unwrap(), [run]);
     }
 }

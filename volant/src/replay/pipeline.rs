@@ -244,7 +244,7 @@ impl Pipeline {
                 format!(
                     "{topic}: the message at {stamp} is more than an hour ahead of the IMU samples \
                      and the odometry, which are at {newest}, and is left out of the output: check \
-                     its publisher's clock"
+                     the clocks"
                 )
             });
         }

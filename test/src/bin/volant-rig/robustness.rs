@@ -156,7 +156,7 @@ fn read(arguments: &Arguments) -> Result<Vec<Bench>> {
         benches.push(Bench::new(recording, FusionConfig::default()));
     }
     if benches.is_empty() {
-        bail!("{}: no folder `*{only}*` with in.mcap and truth.mcap in it", bags.display());
+        bail!("{}: no folder `*{only}*` with truth.mcap in it", bags.display());
     }
     Ok(benches)
 }
