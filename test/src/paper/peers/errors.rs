@@ -23,7 +23,7 @@ pub fn figure_12(folder: &Path) -> Result<Made> {
         let ends = means.iter().zip(spread).map(|(m, s)| m + s).filter(|v| v.is_finite());
         Bars {
             axis: axis(
-                &format!("{what}: bar mean, whisker ± deviation"),
+                format!("{what}: bar mean, whisker ± deviation"),
                 [0.0, rounded_up(ends.fold(0.0, f64::max))],
                 false,
             ),

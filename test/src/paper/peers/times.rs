@@ -31,7 +31,7 @@ pub fn table_1(folder: &Path) -> Result<Made> {
         .iter()
         .zip(&values)
         .map(|(name, times)| Bars {
-            axis: axis(&format!("{name} [ms]"), range, true),
+            axis: axis(format!("{name} [ms]"), range, true),
             values: times.clone(),
             spread: Vec::new(),
         })
