@@ -28,9 +28,6 @@ pub struct Recording {
     pub truth: Truth,
 }
 
-/// Why reading a recording fails.
-pub type RecordingError = BagError;
-
 impl Recording {
     /// Reads a folder.
     ///

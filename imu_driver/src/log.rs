@@ -17,7 +17,7 @@ pub enum LogError {
     /// No message can be decoded, with the reason and the remedy.
     #[error("{0}")]
     Invalid(String),
-    /// The CSV cannot be written.
+    /// The CSV was not written.
     #[error("the CSV cannot be written: {0}")]
     Write(#[from] io::Error),
 }

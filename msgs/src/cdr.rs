@@ -14,7 +14,7 @@ use cdr_encoding::CdrDeserializer;
 use serde::{Deserialize, Deserializer, de::Error as _};
 use thiserror::Error;
 
-/// Why bytes cannot be decoded: type, place and what is wrong.
+/// Invalid bytes: type, place and what is wrong.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("{0}")]
 pub struct CdrError(String);

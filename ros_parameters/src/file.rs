@@ -68,7 +68,7 @@ impl fmt::Display for ParameterValue {
 /// Parameters of one node, by flat name.
 pub type ParameterMap = BTreeMap<String, ParameterValue>;
 
-/// Why a text is not a parameter file, or cannot be edited: the block or the parameter, what is
+/// Invalid parameter file, or one that is not editable in place: the block or the parameter, what is
 /// wrong with it, and the remedy.
 #[derive(Debug, Error)]
 #[error("{0}")]

@@ -46,7 +46,7 @@ use states::CommonFlow;
 const VIEW_MARGIN: f64 = 9.0;
 /// Margin around a predicted outline within which one image's measurements read as a rule, px: the
 /// band, the level beyond it and the error of the prediction. Where more is read, the whole image
-/// is decoded; `windows_suffice_for_most_images` of `tests/bags` counts how often.
+/// is decoded; `tests/bags/windows.rs` counts how often.
 const WINDOW_MARGIN: f64 = 10.0;
 
 /// The tracker: its settings, and one value per component.

@@ -26,7 +26,7 @@ const UNUSED: f64 = 0.15;
 /// Residual beyond which the readings of suspended encoders have ever less weight, m and rad.
 const FAR: f64 = 0.1;
 /// Errors of their readings within this time are the same, s.
-const ONE: f64 = 0.02;
+const CORRELATED: f64 = 0.02;
 
 impl Filter {
     /// Responds to an encoder reading. Returns whether the time line was replaced.
@@ -121,9 +121,9 @@ impl Filter {
 
     /// Uses a reading of suspended encoders that move with a sigma as large as its residual, and
     /// larger beyond [`FAR`]: readings that are late bound the drift of the climber, and those that
-    /// are far off have no weight. All readings within [`ONE`] count as one.
+    /// are far off have no weight. All readings within [`CORRELATED`] count as one.
     fn use_loosely(&mut self, place: usize, innovation: &Innovation<3>) {
-        let count = self.climber.readings_in(ONE);
+        let count = self.climber.readings_in(CORRELATED);
         if let Some(entry) = self.history.get_mut(place)
             && let Event::Encoders { reading, excluded, .. } = &mut entry.event
         {

@@ -71,7 +71,7 @@ impl Row {
     }
 
     /// Runs the row on the DDS domain of `network`, in `folder`, and writes its bag where one is
-    /// asked for. An error means that there is no verdict.
+    /// configured. An error means that the row has neither passed nor failed.
     pub fn run(
         &self,
         scenario: &Scenario,

@@ -1,7 +1,10 @@
 //! Recordings with ground truth as inputs of the estimator.
 
 use anyhow::Context;
-use bag::recording::{self, Markers, RecordingError, read_markers, true_centroids};
+use bag::{
+    BagError,
+    recording::{self, Markers, read_markers, true_centroids},
+};
 use nalgebra::Isometry3;
 use pose_fusion::Input;
 use rig_model::{CameraModel, Rig, Stamp, score::Truth};
@@ -46,7 +49,7 @@ impl Recording {
     ///
     /// Markers are those on `climber/markers` of the recording itself, else of the bag `markers` (a
     /// replay's output); without any they are the true centroids with 0.1 px of noise.
-    pub fn read(folder: &Path, markers: Option<&Path>) -> Result<Self, RecordingError> {
+    pub fn read(folder: &Path, markers: Option<&Path>) -> Result<Self, BagError> {
         let mut images = markers.map(read_markers).transpose()?.unwrap_or_default();
         if images.is_empty() {
             let mut random = Random::fork(1, "pixels");
@@ -56,7 +59,7 @@ impl Recording {
     }
 
     /// Reads a folder with these observations of its images, unless it has its own.
-    pub fn read_with(folder: &Path, images: &Markers) -> Result<Self, RecordingError> {
+    pub fn read_with(folder: &Path, images: &Markers) -> Result<Self, BagError> {
         let recording::Recording { rig, samples, truth } =
             recording::Recording::read(folder, images)?;
         let name = folder.file_name().map_or(String::new(), |n| n.to_string_lossy().into_owned());
