@@ -10,6 +10,7 @@ use std::{collections::HashMap, sync::Arc};
 /// Schemas and channels that the file has announced, by identifier.
 #[derive(Default)]
 pub(crate) struct Channels {
+    /// Name of the type and its `.msg` text, which is empty for another encoding.
     schemas: HashMap<u16, (String, String)>,
     topics: HashMap<u16, Arc<Topic>>,
 }
@@ -55,7 +56,11 @@ impl Channels {
         match opcode {
             op::SCHEMA => {
                 let schema = Schema::parse(data).ok_or_else(damaged)?;
-                self.schemas.insert(schema.id, (schema.name.to_owned(), definition_of(&schema)));
+                let definition = match schema.encoding {
+                    "ros2msg" => String::from_utf8_lossy(schema.data).into_owned(),
+                    _ => String::new(),
+                };
+                self.schemas.insert(schema.id, (schema.name.to_owned(), definition));
             }
             op::CHANNEL => {
                 let channel = Channel::parse(data).ok_or_else(damaged)?;
@@ -94,14 +99,5 @@ impl Channels {
             name: channel.topic.to_owned(),
             message_encoding: channel.message_encoding.to_owned(),
         }
-    }
-}
-
-/// The `.msg` text of a schema; empty for another encoding.
-fn definition_of(schema: &Schema<'_>) -> String {
-    if schema.encoding == "ros2msg" {
-        String::from_utf8_lossy(schema.data).into_owned()
-    } else {
-        String::new()
     }
 }

@@ -26,9 +26,11 @@ const GROUP: usize = 1 << 20;
 pub(crate) struct FileReader {
     path: PathBuf,
     input: Box<dyn Read + Send>,
-    offset: u64,
+    /// Bytes of the (decompressed) file that have been read.
+    pub offset: u64,
     channels: Channels,
-    losses: Vec<String>,
+    /// Descriptions of what was lost so far, one sentence each.
+    pub losses: Vec<String>,
     finished: bool,
 }
 
@@ -84,16 +86,6 @@ impl FileReader {
             losses: vec![],
             finished: false,
         })
-    }
-
-    /// Bytes of the (decompressed) file that have been read.
-    pub fn offset(&self) -> u64 {
-        self.offset
-    }
-
-    /// Descriptions of what was lost so far, one sentence each.
-    pub fn losses(&self) -> &[String] {
-        &self.losses
     }
 
     /// Reads the messages of the next chunk, in the order of the file; `None` at the end.
@@ -291,7 +283,7 @@ pub(crate) fn file_size(path: &Path) -> Result<u64, BagError> {
 }
 
 fn foreign(path: &Path, magic: &[u8]) -> BagError {
-    let (what, remedy) = if magic.starts_with(b"SQLite") {
+    let what = if magic.starts_with(b"SQLite") {
         ("it is an SQLite database", "convert it with `ros2 bag convert`, or record with `-s mcap`")
     } else if magic.starts_with(b"#ROSBAG") {
         ("it is a ROS 1 bag", "convert it, for instance with `rosbags-convert`")
@@ -302,5 +294,5 @@ fn foreign(path: &Path, magic: &[u8]) -> BagError {
     } else {
         ("its first bytes are not MCAP's", "give an .mcap file or a rosbag2 folder")
     };
-    BagError::Foreign { path: path.to_owned(), what: what.to_owned(), remedy }
+    BagError::foreign(path, what)
 }

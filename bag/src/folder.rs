@@ -42,8 +42,8 @@ pub fn files_to_recover(path: &Path) -> Result<(Vec<PathBuf>, Vec<String>), BagE
     let folder = text.and_then(|text| Folder::parse(&text).ok());
     // Text that was cut off may lack the storage, which then says nothing.
     let folder = folder.filter(|folder| !folder.storage_identifier.is_empty());
-    if let Some((what, remedy)) = folder.as_ref().and_then(not_ours) {
-        return Err(BagError::Foreign { path: path.to_owned(), what, remedy });
+    if let Some(what) = folder.as_ref().and_then(not_ours) {
+        return Err(BagError::foreign(path, what));
     }
     let names = folder.and_then(|folder| own_files(folder).ok()).unwrap_or_default();
     let named = names.iter().map(|name| path.join(name)).collect();
@@ -167,8 +167,8 @@ pub(crate) fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
         Err(source) => return Err(BagError::Io { path: yaml.clone(), source }),
     };
     let folder = Folder::parse(&text).map_err(&broken)?;
-    if let Some((what, remedy)) = not_ours(&folder) {
-        return Err(BagError::Foreign { path: path.to_owned(), what, remedy });
+    if let Some(what) = not_ours(&folder) {
+        return Err(BagError::foreign(path, what));
     }
     let names = own_files(folder).map_err(&broken)?;
     let files: Vec<PathBuf> = names.iter().map(|name| path.join(name)).collect();

@@ -24,6 +24,7 @@ pub use read::{BagReader, BagSummary};
 pub use write::{BagWriter, TopicId, WriteOptions};
 
 use std::{
+    fmt::Display,
     path::{Path, PathBuf},
     sync::Arc,
 };
@@ -76,16 +77,6 @@ pub struct BagMessage {
 /// Why reading or writing a bag fails.
 #[derive(Debug, Error)]
 pub enum BagError {
-    /// Not an MCAP file.
-    #[error("{}: this is not an MCAP file ({what}); {remedy}", path.display())]
-    Foreign {
-        /// Which file.
-        path: PathBuf,
-        /// What its first bytes are.
-        what: String,
-        /// What to do.
-        remedy: &'static str,
-    },
     /// An operation of the operating system failed.
     #[error("{}: {source}; check the path, its permissions and the space on the \
              disk", path.display())]
@@ -95,8 +86,8 @@ pub enum BagError {
         /// Its reason.
         source: std::io::Error,
     },
-    /// A missing or empty file, a folder without a valid `metadata.yaml`, or a file that violates
-    /// MCAP where nothing can be skipped.
+    /// A missing, empty or foreign file, a folder without a valid `metadata.yaml`, or a file that
+    /// violates MCAP where nothing can be skipped.
     #[error("{}: {reason}", path.display())]
     Unusable {
         /// Which file.
@@ -112,5 +103,10 @@ pub enum BagError {
 impl BagError {
     fn unusable(path: &Path, reason: impl ToString) -> Self {
         Self::Unusable { path: path.to_owned(), reason: reason.to_string() }
+    }
+
+    /// A file of another format: what it is, and the remedy.
+    fn foreign(path: &Path, (what, remedy): (impl Display, &str)) -> Self {
+        Self::unusable(path, format!("this is not an MCAP file ({what}); {remedy}"))
     }
 }

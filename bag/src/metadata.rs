@@ -11,19 +11,16 @@ struct Document {
 }
 
 /// The used part of a folder's `metadata.yaml`.
-#[derive(Debug, Deserialize)]
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
 pub(super) struct Folder {
     /// `mcap`, `sqlite3`, …
-    #[serde(default)]
     pub storage_identifier: String,
     /// The files in order.
-    #[serde(default)]
     pub relative_file_paths: Vec<String>,
     /// `` or `zstd`.
-    #[serde(default)]
     pub compression_format: Option<String>,
     /// `file` or `message`; `None` without compression.
-    #[serde(default)]
     pub compression_mode: Option<String>,
 }
 

@@ -1,25 +1,19 @@
 //! The quality of service that publishers offered, as rosbag2 keeps it.
 
 use node_kit::qos::Qos;
-use std::fmt::Write;
 
 /// Formats a profile as rosbag2 does: a YAML list of one.
 pub fn qos_to_yaml(qos: &Qos) -> String {
     let reliability = if qos.reliable { "reliable" } else { "best_effort" };
     let durability = if qos.transient_local { "transient_local" } else { "volatile" };
-    let mut yaml = format!(
-        "- history: keep_last\n  depth: {}\n  reliability: {reliability}\n  durability: \
-         {durability}\n",
-        qos.depth
-    );
     // "For ever", as rmw writes it.
     let forever = "    sec: 9223372036\n    nsec: 854775807\n";
-    for key in ["deadline", "lifespan"] {
-        let _ = write!(yaml, "  {key}:\n{forever}");
-    }
-    let _ = write!(yaml, "  liveliness: automatic\n  liveliness_lease_duration:\n{forever}");
-    yaml.push_str("  avoid_ros_namespace_conventions: false");
-    yaml
+    format!(
+        "- history: keep_last\n  depth: {}\n  reliability: {reliability}\n  durability: \
+         {durability}\n  deadline:\n{forever}  lifespan:\n{forever}  liveliness: automatic\n  \
+         liveliness_lease_duration:\n{forever}  avoid_ros_namespace_conventions: false",
+        qos.depth
+    )
 }
 
 /// Parses the first profile of rosbag2's YAML list, with enums as words or numbers; missing entries

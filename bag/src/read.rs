@@ -153,7 +153,7 @@ impl BagReader {
                 // The end of a compressed file is not accessible without reading it all.
                 let compressed = file.extension().is_some_and(|e| e != "mcap");
                 let ends = compressed || summary::has_footer(file);
-                summary.complete &= ends && reader.losses().is_empty();
+                summary.complete &= ends && reader.losses.is_empty();
             }
         }
         summary.files = files;
@@ -190,7 +190,7 @@ impl BagReader {
 
     /// Bytes read so far, of [`BagSummary::bytes`] (decompressed bytes of a compressed file).
     pub fn bytes_read(&self) -> u64 {
-        self.bytes_before + self.current.as_ref().map_or(0, FileReader::offset)
+        self.bytes_before + self.current.as_ref().map_or(0, |file| file.offset)
     }
 
     /// Descriptions of what was lost, one sentence each, with the file's name.
@@ -218,8 +218,8 @@ impl BagReader {
                 self.read += 1;
             }
         } else {
-            self.losses.extend_from_slice(file.losses());
-            self.bytes_before += file.offset();
+            self.losses.append(&mut file.losses);
+            self.bytes_before += file.offset;
             let next = self.waiting.pop_front();
             self.current = next.map(|path| FileReader::open(&path)).transpose()?;
             if self.current.is_none() {

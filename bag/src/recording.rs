@@ -3,7 +3,7 @@
 //! A folder holds `in.mcap` (what the nodes received), `rig.yaml`, `truth.mcap` and, where the bag
 //! has images, `truth_markers.csv` (the true centroids in them).
 
-use crate::{BagError, BagReader};
+use crate::{BagError, BagMessage, BagReader};
 use nalgebra::{Matrix2, Vector2, Vector3};
 use node_kit::convert::{self, ConvertError};
 use rig_model::{
@@ -12,7 +12,7 @@ use rig_model::{
     topics::absolute as topics,
 };
 use std::{collections::HashMap, path::Path};
-use volant_msgs::{Message, cdr, geometry_msgs, msg, nav_msgs, sensor_msgs};
+use volant_msgs::{Message, cdr, geometry_msgs, msg, nav_msgs::msg::Odometry, sensor_msgs};
 
 /// Marker observations of images, by their stamps.
 pub type Markers = HashMap<Stamp, MarkerObservations>;
@@ -87,13 +87,16 @@ impl Recording {
 pub fn map_messages<M: Message, T>(
     path: &Path,
     topic: &str,
-    map: impl FnMut(u64, M) -> T,
+    mut map: impl FnMut(u64, M) -> T,
 ) -> Result<Vec<T>, BagError> {
-    let Decoded { mapped, undecodable, .. } = decode_messages(path, topic, map)?;
-    match undecodable.first() {
-        Some(error) => Err(BagError::unusable(path, format!("a message on {topic}: {error}"))),
-        None => Ok(mapped),
-    }
+    let mut mapped = vec![];
+    for_each(path, topic, |message| {
+        let wrong =
+            |e: cdr::CdrError| BagError::unusable(path, format!("a message on {topic}: {e}"));
+        mapped.push(map(message.log_time, cdr::from_bytes(&message.data).map_err(wrong)?));
+        Ok(())
+    })?;
+    Ok(mapped)
 }
 
 /// Reads the decodable messages on a topic; what the bag lost, and the number of the other
@@ -105,9 +108,16 @@ pub fn read_messages<M: Message, T>(
     path: &Path,
     topic: &str,
     losses: &mut Vec<String>,
-    map: impl FnMut(u64, M) -> T,
+    mut map: impl FnMut(u64, M) -> T,
 ) -> Result<Vec<T>, BagError> {
-    let Decoded { mapped, undecodable, lost } = decode_messages(path, topic, map)?;
+    let (mut mapped, mut undecodable) = (vec![], vec![]);
+    let lost = for_each(path, topic, |message| {
+        match cdr::from_bytes(&message.data) {
+            Ok(decoded) => mapped.push(map(message.log_time, decoded)),
+            Err(error) => undecodable.push(error),
+        }
+        Ok(())
+    })?;
     losses.extend(lost);
     if let Some(first) = undecodable.first() {
         let count = undecodable.len();
@@ -117,29 +127,19 @@ pub fn read_messages<M: Message, T>(
     Ok(mapped)
 }
 
-/// Messages on a topic, the errors of those that are undecodable, and what the bag lost.
-struct Decoded<T> {
-    mapped: Vec<T>,
-    undecodable: Vec<cdr::CdrError>,
-    lost: Vec<String>,
-}
-
-fn decode_messages<M: Message, T>(
+/// Calls `take` with each message on a topic; returns what the bag lost.
+fn for_each(
     path: &Path,
     topic: &str,
-    mut map: impl FnMut(u64, M) -> T,
-) -> Result<Decoded<T>, BagError> {
+    mut take: impl FnMut(BagMessage) -> Result<(), BagError>,
+) -> Result<Vec<String>, BagError> {
     let mut bag = BagReader::open(path)?;
-    let (mut mapped, mut undecodable) = (vec![], vec![]);
     while let Some(message) = bag.next_message()? {
         if message.topic.name == topic {
-            match cdr::from_bytes(&message.data) {
-                Ok(decoded) => mapped.push(map(message.log_time, decoded)),
-                Err(error) => undecodable.push(error),
-            }
+            take(message)?;
         }
     }
-    Ok(Decoded { mapped, undecodable, lost: bag.losses().to_vec() })
+    Ok(bag.losses().to_vec())
 }
 
 /// Reads the marker observations of a bag.
@@ -203,16 +203,13 @@ pub fn true_centroids(
 /// # Errors
 /// An unreadable bag.
 pub fn read_truth(path: &Path, topic: &str, losses: &mut Vec<String>) -> Result<Truth, BagError> {
-    let mut bag = BagReader::open(path)?;
     let mut samples = vec![];
-    while let Some(message) = bag.next_message()? {
-        if message.topic.name != topic
-            || message.topic.type_name != nav_msgs::msg::Odometry::TYPE_NAME
-        {
-            continue;
+    let lost = for_each(path, topic, |message| {
+        if message.topic.type_name != Odometry::TYPE_NAME {
+            return Ok(());
         }
-        let Ok(m) = cdr::from_bytes::<nav_msgs::msg::Odometry>(&message.data) else { continue };
-        let Ok(pose) = convert::pose(&m.pose.pose, "odometry") else { continue };
+        let Ok(m) = cdr::from_bytes::<Odometry>(&message.data) else { return Ok(()) };
+        let Ok(pose) = convert::pose(&m.pose.pose, "odometry") else { return Ok(()) };
         let (v, w) = (&m.twist.twist.linear, &m.twist.twist.angular);
         samples.push(TruthSample {
             stamp: convert::stamp(&m.header.stamp),
@@ -220,8 +217,9 @@ pub fn read_truth(path: &Path, topic: &str, losses: &mut Vec<String>) -> Result<
             linear_velocity: Vector3::new(v.x, v.y, v.z),
             angular_velocity: Vector3::new(w.x, w.y, w.z),
         });
-    }
-    losses.extend_from_slice(bag.losses());
+        Ok(())
+    })?;
+    losses.extend(lost);
     Ok(Truth::new(samples))
 }
 

@@ -154,8 +154,3 @@ impl Statistics {
         Some(Self { messages, start, end, counts })
     }
 }
-
-/// Offset of the closing records, bytes, from the footer.
-pub(super) fn summary_start(footer: &[u8]) -> Option<u64> {
-    Fields(footer).u64()
-}

@@ -66,16 +66,10 @@ pub(crate) fn summary_of(file: &mut (impl Read + Seek), size: u64) -> Option<Bag
 /// Reads the schemas and channels that the closing records of an input of `size` bytes repeat; none
 /// where the closing records are missing.
 pub(crate) fn channels_of(file: &mut (impl Read + Seek), size: u64) -> Channels {
-    let section = closing_section(file, size).unwrap_or_default();
-    let mut rest = section.as_slice();
     let mut channels = Channels::default();
-    while let Some((opcode, record, next)) = records::split_first(rest) {
-        if matches!(opcode, op::SCHEMA | op::CHANNEL) {
-            // A damaged one is left out: the chunks have it too.
-            let _ = channels.record(opcode, record, &mut vec![]);
-        }
-        rest = next;
-    }
+    let section = closing_section(file, size).unwrap_or_default();
+    // A damaged one is left out: the chunks have it too.
+    let _ = channels.records(&section, &mut vec![]);
     channels
 }
 
@@ -99,7 +93,7 @@ fn summary_start(file: &mut (impl Read + Seek), size: u64) -> Option<u64> {
         .strip_prefix(&[op::FOOTER])?
         .strip_suffix(mcap::MAGIC)?
         .strip_prefix(&20_u64.to_le_bytes())?;
-    records::summary_start(footer)
+    Some(u64::from_le_bytes(*footer.first_chunk()?))
 }
 
 fn read_at(file: &mut (impl Read + Seek), at: u64, length: u64) -> Option<Vec<u8>> {

@@ -70,25 +70,25 @@ pub struct BagWriter {
     /// Temporary name of the folder.
     pending: Option<Pending>,
     options: WriteOptions,
-    topics: Vec<Topic>,
-    /// Of each topic what a new file repeats; `None`: nothing.
-    latched: Vec<Option<Latched>>,
+    topics: Vec<WrittenTopic>,
     files: Vec<FileContents>,
     /// Number of the next file.
     next_file: usize,
-    current: Option<Current>,
+    /// Writer of the last of the files, and the bytes of its messages.
+    current: Option<(FileWriter, u64)>,
+}
+
+#[derive(Debug)]
+struct WrittenTopic {
+    topic: Topic,
+    /// Its number in the current file, once it is used there.
+    channel: Option<u16>,
+    /// What a new file repeats; `None`: nothing.
+    latched: Option<Latched>,
 }
 
 /// Messages of one topic, oldest first: publish times, ns, and data.
 type Latched = Vec<(u64, Vec<u8>)>;
-
-#[derive(Debug)]
-struct Current {
-    writer: FileWriter,
-    /// The file's number of each topic, once it is used there.
-    channels: Vec<Option<u16>>,
-    bytes: u64,
-}
 
 impl BagWriter {
     /// Creates a bag: a lone file where the name ends with `.mcap`, else a folder.
@@ -108,7 +108,6 @@ impl BagWriter {
             pending: None,
             options,
             topics: vec![],
-            latched: vec![],
             files: vec![],
             next_file: 0,
             current: None,
@@ -128,13 +127,13 @@ impl BagWriter {
 
     /// Adds a topic; an equal topic returns the same identifier.
     pub fn add_topic(&mut self, topic: Topic) -> TopicId {
-        let known = self.topics.iter().position(|t| *t == topic);
+        let known = self.topics.iter().position(|t| t.topic == topic);
         TopicId(known.unwrap_or_else(|| {
             let repeated = self.options.keep.is_some()
                 && self.folder.is_some()
                 && qos_from_yaml(&topic.offered_qos_profiles).transient_local;
-            self.latched.push(repeated.then(Vec::new));
-            self.topics.push(topic);
+            let latched = repeated.then(Vec::new);
+            self.topics.push(WrittenTopic { topic, channel: None, latched });
             self.topics.len() - 1
         }))
     }
@@ -163,21 +162,17 @@ impl BagWriter {
         publish_time: u64,
         data: &[u8],
     ) -> Result<(), BagError> {
-        let (Some(current), Some(file)) = (&mut self.current, self.files.last_mut()) else {
+        let (Some((writer, bytes)), Some(file)) = (&mut self.current, self.files.last_mut()) else {
             return Ok(());
         };
-        current.channels.resize(self.topics.len(), None);
         file.counts.resize(self.topics.len(), 0);
-        let channel = match current.channels[topic.0] {
+        let written = &mut self.topics[topic.0];
+        let channel = match written.channel {
             Some(channel) => channel,
-            None => {
-                let channel = current.writer.add_topic(&self.topics[topic.0])?;
-                current.channels[topic.0] = Some(channel);
-                channel
-            }
+            None => *written.channel.insert(writer.add_topic(&written.topic)?),
         };
-        current.writer.write(channel, log_time, publish_time, data)?;
-        current.bytes += data.len() as u64;
+        writer.write(channel, log_time, publish_time, data)?;
+        *bytes += data.len() as u64;
         file.counts[topic.0] += 1;
         file.span = join(file.span, Some((log_time, log_time)));
         Ok(())
@@ -185,8 +180,10 @@ impl BagWriter {
 
     /// Keeps a message of a latched topic for the next files.
     fn remember(&mut self, topic: TopicId, publish_time: u64, data: &[u8]) {
-        let Some(Some(messages)) = self.latched.get_mut(topic.0) else { return };
-        let has_transforms = self.topics[topic.0].type_name == TFMessage::TYPE_NAME;
+        let WrittenTopic { topic, latched: Some(messages), .. } = &mut self.topics[topic.0] else {
+            return;
+        };
+        let has_transforms = topic.type_name == TFMessage::TYPE_NAME;
         let most = if has_transforms { MOST_TRANSFORMS } else { 1 };
         messages.retain(|(_, known)| known.as_slice() != data);
         messages.push((publish_time, data.to_vec()));
@@ -197,16 +194,16 @@ impl BagWriter {
 
     /// Writes the latched messages to a new file: removing the files before it must not lose them.
     fn repeat_latched(&mut self, log_time: u64) -> Result<(), BagError> {
-        let latched = std::mem::take(&mut self.latched);
-        for (topic, messages) in latched.iter().enumerate() {
-            for (publish_time, data) in messages.iter().flatten() {
+        for topic in 0..self.topics.len() {
+            let latched = self.topics[topic].latched.take();
+            for (publish_time, data) in latched.iter().flatten() {
                 self.append(TopicId(topic), log_time, *publish_time, data)?;
             }
+            self.topics[topic].latched = latched;
         }
-        self.latched = latched;
         // They alone never fill a file.
-        if let Some(current) = &mut self.current {
-            current.bytes = 0;
+        if let Some((_, bytes)) = &mut self.current {
+            *bytes = 0;
         }
         Ok(())
     }
@@ -229,8 +226,8 @@ impl BagWriter {
     /// # Errors
     /// As [`BagWriter::write`].
     pub fn flush(&mut self) -> Result<(), BagError> {
-        if let Some(current) = &mut self.current {
-            current.writer.flush()?;
+        if let Some((writer, _)) = &mut self.current {
+            writer.flush()?;
         }
         self.write_metadata()
     }
@@ -260,14 +257,14 @@ impl BagWriter {
     /// The topics with their number of messages in some files.
     fn counted<'a>(&'a self, files: &'a [FileContents]) -> impl Iterator<Item = (&'a Topic, u64)> {
         let count = move |i: usize| files.iter().filter_map(|f| f.counts.get(i)).sum::<u64>();
-        self.topics.iter().enumerate().map(move |(i, topic)| (topic, count(i)))
+        self.topics.iter().enumerate().map(move |(i, written)| (&written.topic, count(i)))
     }
 
     fn split_if_due(&mut self, log_time: u64) -> Result<(), BagError> {
-        let (Some(_), Some(current)) = (&self.folder, &self.current) else { return Ok(()) };
+        let (Some(_), Some((_, bytes))) = (&self.folder, &self.current) else { return Ok(()) };
         let Some((start, _)) = self.files.last().and_then(|file| file.span) else { return Ok(()) };
         let WriteOptions { split_bytes, split_nanos, .. } = self.options;
-        let large = split_bytes.is_some_and(|limit| current.bytes >= limit);
+        let large = split_bytes.is_some_and(|limit| *bytes >= limit);
         let long = split_nanos.is_some_and(|limit| log_time.saturating_sub(start) >= limit);
         if large || long {
             self.end_file()?;
@@ -309,19 +306,18 @@ impl BagWriter {
         let writer = FileWriter::new(file, &path, options.compression, options.chunk_bytes)?;
         self.next_file += 1;
         self.files.push(FileContents { path: name, span: None, counts: vec![] });
-        self.current = Some(Current { writer, channels: vec![], bytes: 0 });
+        self.current = Some((writer, 0));
         Ok(())
     }
 
     fn end_file(&mut self) -> Result<(), BagError> {
-        let (Some(mut current), Some(file)) = (self.current.take(), self.files.last()) else {
+        let (Some((mut writer, _)), Some(file)) = (self.current.take(), self.files.last()) else {
             return Ok(());
         };
-        current.channels.resize(self.topics.len(), None);
-        // Topics without messages are announced too.
-        for (topic, channel) in self.topics.iter().zip(&current.channels) {
-            if channel.is_none() {
-                current.writer.add_topic(topic)?;
+        for written in &mut self.topics {
+            // Topics without messages are announced too.
+            if written.channel.take().is_none() {
+                writer.add_topic(&written.topic)?;
             }
         }
         // A lone file can be renamed, and two replays must have the same bytes: rosbag2's record,
@@ -329,7 +325,7 @@ impl BagWriter {
         // file's own closing records.
         let file = std::slice::from_ref(file);
         let metadata = self.folder.as_ref().map(|_| metadata::to_yaml(file, self.counted(file)));
-        current.writer.finish(metadata.as_deref())
+        writer.finish(metadata.as_deref())
     }
 
     /// Replaces `metadata.yaml`, at each flush: a folder whose recorder was killed is a bag.

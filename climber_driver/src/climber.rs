@@ -2,7 +2,7 @@
 
 use crate::{
     config::{Axis, ClimberConfig, ConfigError},
-    rejection::{Rejection, Warning},
+    rejection::Warning,
 };
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rig_model::{ClimberSample, Stamp, wrap_angle};
@@ -38,7 +38,7 @@ pub struct Counts {
     pub accepted: u64,
     /// Messages of other publishers, without any of the configured joints.
     pub foreign: u64,
-    /// Rejected readings by [`Rejection::kind`].
+    /// Rejected readings by [`Warning::kind`].
     pub rejected: BTreeMap<&'static str, u64>,
 }
 
@@ -159,9 +159,9 @@ impl Climber {
         }
     }
 
-    fn reject(&mut self, rejection: Rejection) {
+    fn reject(&mut self, rejection: Warning) {
         *self.counts.rejected.entry(rejection.kind()).or_default() += 1;
-        self.outputs.push_back(Output::Warning(Warning::Rejected(rejection)));
+        self.outputs.push_back(Output::Warning(rejection));
     }
 
     /// Returns the next output.
@@ -183,7 +183,7 @@ impl Climber {
     }
 
     /// The joints of a message beside the configured ones.
-    fn other_joints(&self, reading: &JointReading) -> Rejection {
+    fn other_joints(&self, reading: &JointReading) -> Warning {
         let found = if reading.names.is_empty() {
             "no joint names".to_owned()
         } else {
@@ -194,7 +194,7 @@ impl Climber {
             "the messages have {found}, but none of {configured}; set the parameters \
              joints.rail_x, joints.rail_y and joints.turn to the names in the messages"
         );
-        Rejection { kind: OTHER_JOINTS, text }
+        Warning::Rejected { kind: OTHER_JOINTS, text }
     }
 
     /// Checks a reading; `Ok(None)` if it contains none of the configured joints.
@@ -202,8 +202,8 @@ impl Climber {
         &mut self,
         reading: &JointReading,
         received: Stamp,
-    ) -> Result<Option<Accepted>, Rejection> {
-        let wrong = |kind, text| Err(Rejection { kind, text });
+    ) -> Result<Option<Accepted>, Warning> {
+        let wrong = |kind, text| Err(Warning::Rejected { kind, text });
         let (names, positions) = (reading.names.len(), reading.positions.len());
         let Some(readings) = self.joint_indices(reading)? else { return Ok(None) };
         if names != positions {
@@ -256,7 +256,7 @@ impl Climber {
     }
 
     /// Indices of the configured joints in the message; `None` if it contains none of them.
-    fn joint_indices(&self, reading: &JointReading) -> Result<Option<[usize; 3]>, Rejection> {
+    fn joint_indices(&self, reading: &JointReading) -> Result<Option<[usize; 3]>, Warning> {
         let mut indices = [None; 3];
         for (slot, joint) in indices.iter_mut().zip(&self.config.joints) {
             let mut found =
@@ -265,7 +265,7 @@ impl Climber {
             if found.next().is_some() {
                 let text = "occurs twice in one message; name each joint once";
                 let text = format!("the joint `{}` {text}", joint.name);
-                return Err(Rejection { kind: "duplicate joint", text });
+                return Err(Warning::Rejected { kind: "duplicate joint", text });
             }
         }
         match indices {
@@ -278,7 +278,7 @@ impl Climber {
                     "the joint `{joint}` ({axis}) is missing; publish all three joints in one \
                      message, or set the parameter joints.{axis} to its name"
                 );
-                Err(Rejection { kind: "missing joint", text })
+                Err(Warning::Rejected { kind: "missing joint", text })
             }
         }
     }
@@ -310,13 +310,13 @@ impl Climber {
     /// that the climber can have moved is that at the time of the jump: with the time since, it
     /// would soon cover the jump itself. It grows with time where only a stamp is wrong (the motion
     /// is possible within the usual interval) and behind a gap.
-    fn check_jump(&mut self, last: &Accepted, now: Accepted) -> Result<Accepted, Rejection> {
+    fn check_jump(&mut self, last: &Accepted, now: Accepted) -> Result<Accepted, Warning> {
         let rejected = |jump: String, after: f64| {
             let remedy = match after.is_finite() {
                 true => "check the encoder, or raise the limit",
                 false => "check the stamps: readings usually are further apart",
             };
-            Err(Rejection { kind: "jump", text: format!("{jump}; {remedy}") })
+            Err(Warning::Rejected { kind: "jump", text: format!("{jump}; {remedy}") })
         };
         let elapsed = now.stamp.seconds_since(last.stamp);
         let usual = self.interval.unwrap_or(0.0);

@@ -1,8 +1,8 @@
 //! Encoder readings of the climber → transform `world_from_climber`.
 //!
 //! [`Climber`] is the core: [`Climber::handle`] receives a [`JointReading`] and the time of its
-//! receipt; [`Climber::poll`] returns a [`rig_model::ClimberSample`] or the [`Rejection`] of the
-//! reading. It uses no clock and no middleware.
+//! receipt; [`Climber::poll`] returns a [`rig_model::ClimberSample`] or a [`Warning`]. It uses no
+//! clock and no middleware.
 
 mod climber;
 mod config;
@@ -12,4 +12,4 @@ mod rejection;
 
 pub use climber::{Climber, Counts, JointReading, Output};
 pub use config::{Axis, ClimberConfig, ConfigError, JointCalibration};
-pub use rejection::{Rejection, Warning};
+pub use rejection::Warning;

@@ -160,7 +160,7 @@ impl NodeShell for ClimberNode {
                 }
                 Output::Warning(warning) => {
                     let text = warning.to_string();
-                    if matches!(warning, Warning::Rejected(_)) {
+                    if matches!(warning, Warning::Rejected { .. }) {
                         context.log_throttled(Level::Warn, warning.kind(), &text);
                         self.last_rejection = text;
                     } else {

@@ -2,27 +2,17 @@
 
 use thiserror::Error;
 
-/// Why a reading was rejected, with the remedy; the last accepted reading remains valid.
-#[derive(Clone, Debug, Error, PartialEq, Eq)]
-#[error("joint_states: {text}")]
-pub struct Rejection {
-    pub(crate) kind: &'static str,
-    pub(crate) text: String,
-}
-
-impl Rejection {
-    /// Short name under which rejections are counted.
-    pub const fn kind(&self) -> &'static str {
-        self.kind
-    }
-}
-
 /// Warning for the operator.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum Warning {
-    /// A reading was rejected.
-    #[error(transparent)]
-    Rejected(Rejection),
+    /// A reading was rejected; the last accepted one remains valid.
+    #[error("joint_states: {text}")]
+    Rejected {
+        /// Short name under which rejections are counted.
+        kind: &'static str,
+        /// Reason and remedy.
+        text: String,
+    },
     /// Readings after a jump were consistent with each other and are accepted again.
     #[error(
         "position changed by {:+.3} m, {:+.3} m, {:+.4} rad and accepted after {rejected} \
@@ -47,7 +37,7 @@ impl Warning {
     /// Short name of its kind.
     pub const fn kind(&self) -> &'static str {
         match self {
-            Self::Rejected(rejection) => rejection.kind(),
+            Self::Rejected { kind, .. } => kind,
             Self::Relocated { .. } => "relocated",
             Self::TimeWentBack { .. } => "time went back",
         }

@@ -73,7 +73,7 @@ fn errors_are_one_line_with_file_and_remedy() {
     let bad_config = path("bad_config.bin");
     let cases: [(&str, &[&str], &str); 5] = [
         ("missing.bin", &[], "missing.bin"),
-        ("empty.bin", &[], "empty"),
+        ("empty.bin", &[], "the log is empty"),
         ("foreign.bin", &[], "no valid frame"),
         ("legacy.bin", &[], "--config"),
         ("legacy.bin", &["--config", &bad_config], "bad_config.bin"),

@@ -12,7 +12,7 @@ use rig_model::{MarkerColor, PerColor, planar_pose::closed_form};
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Hypothesis {
     pub camera_from_volant: Isometry3<f64>,
-    pub patches: PerColor<Option<usize>>,
+    pub patches: PerColor<Option<Patch>>,
     /// Lower is better: reprojection error over the squares' side, and disagreement of the areas.
     pub score: f64,
 }
@@ -183,7 +183,7 @@ impl Search<'_> {
         let is_three = N == 3;
         let (mut chosen, mut pixels) = (PerColor([None; 4]), PerColor([None; 4]));
         for (i, color) in indices.into_iter().zip(colors) {
-            chosen[color] = Some(i);
+            chosen[color] = Some(self.patches[i]);
             pixels[color] = Some((self.patches[i].centroid, Matrix2::identity()));
         }
         let Some(mut starts) = closed_form(layout, camera, &pixels) else { return };
@@ -222,7 +222,7 @@ impl Search<'_> {
         &mut self,
         observations: &[PoseObservation],
         start: &Isometry3<f64>,
-        chosen: PerColor<Option<usize>>,
+        chosen: PerColor<Option<Patch>>,
         strictness: Strictness,
         handicap: f64,
     ) {
@@ -235,12 +235,12 @@ impl Search<'_> {
         }
         let mut disagreement = 0.0;
         let mut side = 0.0;
-        for (color, index) in chosen.iter() {
-            let Some(index) = *index else { continue };
+        for (color, patch) in chosen.iter() {
+            let Some(patch) = patch else { continue };
             let Some(predicted) = layout.projected_centroid(color, camera, &pose) else { return };
             // The scan loses a rim of blurred pixels, and covers cost area, so less is forgiven
             // sooner than more.
-            let ratio = self.patches[index].area / predicted.area;
+            let ratio = patch.area / predicted.area;
             let side_here = predicted.area.sqrt();
             let rim = ((side_here - 2.0) / side_here).max(0.3).powi(2);
             let off = (ratio / rim.sqrt()).ln();
@@ -291,7 +291,7 @@ mod tests {
         let (geometry, mut found) = (Geometry { layout: &layout, camera: &camera }, Vec::new());
         let strictness = Strictness { reprojection: 0.08, area: 1.8 };
         hypotheses(geometry, &patches, strictness, Extent::Threes, &mut found);
-        let whole = PerColor([Some(0), Some(1), Some(2), None]);
+        let whole = PerColor([Some(patches[0]), Some(patches[1]), Some(patches[2]), None]);
         assert!(found.iter().any(|h| h.patches == whole), "{found:?}");
     }
 }

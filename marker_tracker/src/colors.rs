@@ -126,7 +126,7 @@ pub fn find_patches(image: &ImageView<'_>, min_area: f64) -> Result<Vec<Patch>, 
     let config = ScanConfig {
         stride,
         grid: stride.clamp(4, 8),
-        min_saturation: 0.15,
+        min_saturation: 38,
         min_layer: 16,
         min_area,
         max_area: f64::from(w) * f64::from(h) / 6.0,

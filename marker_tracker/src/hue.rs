@@ -9,7 +9,8 @@ use crate::{
 /// Histogram of the hue (H of HSV) over the circle, weighted by saturation.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct HueHistogram {
-    bins: [f32; HueHistogram::BINS],
+    /// The first from 0°.
+    pub bins: [f32; HueHistogram::BINS],
 }
 
 impl HueHistogram {
@@ -49,11 +50,6 @@ impl HueHistogram {
             self.bins[i] += saturation * (1.0 - part);
             self.bins[(i + 1) % Self::BINS] += saturation * part;
         }
-    }
-
-    /// The bins, the first from 0°.
-    pub fn bins(&self) -> &[f32] {
-        &self.bins
     }
 
     /// Scales the bins to a sum of 1.

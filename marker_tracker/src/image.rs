@@ -201,7 +201,8 @@ impl Coverage {
 #[derive(Debug)]
 pub(crate) struct Pixels<'a> {
     view: ImageView<'a>,
-    coverage: Option<Coverage>,
+    /// The windows, where the image is not decoded as a whole.
+    pub coverage: Option<Coverage>,
     /// The image as it was compressed; `None` for a raw one.
     pub compressed: Option<&'a [u8]>,
 }
@@ -216,12 +217,6 @@ impl<'a> Pixels<'a> {
     pub fn partial(view: ImageView<'a>, windows: [Window; 4], compressed: &'a [u8]) -> Self {
         let coverage = Coverage { windows, missed: Cell::new(false) };
         Self { view, coverage: Some(coverage), compressed: Some(compressed) }
-    }
-
-    /// The windows, where the image is not decoded as a whole.
-    #[inline(always)]
-    pub fn coverage(&self) -> Option<&Coverage> {
-        self.coverage.as_ref()
     }
 
     /// Whether anything was read that is not decoded.

@@ -114,7 +114,7 @@ impl<'a> Sampler<'a> {
             light: discriminant.light.map(|weights| Form::new(weights, blue_first)),
             in_any_light: false,
             saturated: discriminant.saturated,
-            coverage: image.coverage(),
+            coverage: image.coverage.as_ref(),
         }
     }
 
@@ -266,7 +266,7 @@ pub(crate) fn rgb_at(image: &Pixels<'_>, x: i32, y: i32) -> Option<[u8; 3]> {
     if x < 0 || y < 0 || x as usize >= image.width || y as usize >= image.height {
         return None;
     }
-    if let Some(coverage) = image.coverage() {
+    if let Some(coverage) = &image.coverage {
         coverage.read([x, y], [x, y]);
     }
     let start = y as usize * image.step + x as usize * image.format.bytes_per_pixel();

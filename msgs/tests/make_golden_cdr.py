@@ -98,7 +98,7 @@ def rosbags_message(store, name, value):
 
 
 class Cyclone:
-    """The same types in cyclonedds."""
+    """The same types in cyclonedds; node_kit/tests/peer_messages.py uses them, too."""
 
     def __init__(self, store):
         self.store = store
@@ -121,8 +121,9 @@ class Cyclone:
     def struct(self, name):
         if name not in self.made:
             fields = {f: self.type_of(kind) for f, kind in self.store.fielddefs[name][1]}
-            dds = name.replace("/", "::")
-            self.made[name] = idl.make_idl_struct(name.rsplit("/", 1)[1], dds, fields)
+            package, kind, base = name.split("/")
+            dds = f"{package}::{kind}::dds_::{base}_"
+            self.made[name] = idl.make_idl_struct(base, dds, fields)
         return self.made[name]
 
     def value(self, field, value):

@@ -20,7 +20,7 @@ import sys
 import time
 
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription
-from cyclonedds.core import InstanceState, Policy, Qos, ReadCondition, SampleState, ViewState
+from cyclonedds.core import InstanceState, Policy, Qos
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.internal import InvalidSample
 from cyclonedds.pub import DataWriter
@@ -68,9 +68,10 @@ def calls(participant, node):
     say("list", client["list_parameters"].call([], 0))
     say("get", client["get_parameters"].call(["beat", "no_such"]))
     say("describe", client["describe_parameters"].call(["beat"]))
-    true = ParameterValue(type=1, bool_value=True)
+    # Type, bool, integer, double, string, arrays.
+    true = ParameterValue(1, True, 0, 0.0, "", *[[]] * 5)
     say("set_live", client["set_parameters"].call([Parameter("talk", true)]))
-    beat = Parameter("beat", ParameterValue(type=3, double_value=5.0))
+    beat = Parameter("beat", ParameterValue(3, False, 0, 5.0, "", *[[]] * 5))
     say("set_fixed", client["set_parameters"].call([beat]))
     say("get_after", client["get_parameters"].call(["talk"]))
     say("state", client["get_state"].call(0))

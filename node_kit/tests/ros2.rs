@@ -69,9 +69,9 @@ fn parameters_are_listed_described_dumped_and_set() {
         );
     }
 
-    let line = output(42, &python, &["set", "/minimal", "talk", "true"]);
+    let line = output(42, &python, &["assign", "/minimal", "talk", "true"]);
     assert!(line.contains(r#""successful": true"#), "{line}");
-    let line = output(42, &python, &["set", "/minimal", "autostart", "false"]);
+    let line = output(42, &python, &["assign", "/minimal", "autostart", "false"]);
     assert!(line.contains(r#""successful": false"#) && line.contains("cannot change"), "{line}");
 }
 

@@ -4,7 +4,8 @@ a line.
 ros2_peer.py look NODE                 node list, node info, topic list -t, service list -t
 ros2_peer.py parameters NODE N         param list, then describe and get of all, N times over in
                                        one request
-ros2_peer.py set NODE NAME true|false  param set
+ros2_peer.py assign NODE NAME true|false
+                                       param set
 ros2_peer.py lifecycle NODE            lifecycle get, list, set deactivate, get, set activate
 ros2_peer.py receive TOPIC PACKAGE/TYPE N
                                        topic echo of N messages, and their rate
@@ -89,7 +90,7 @@ def parameters(node, name, times):
     )
 
 
-def set_parameter(node, name, parameter, value):
+def assign(node, name, parameter, value):
     value = ParameterValue(type=1, bool_value=value == "true")
     request = SetParameters.Request(parameters=[Parameter(name=parameter, value=value)])
     result = call(node, SetParameters, f"{name}/set_parameters", request)[0].results[0]
@@ -262,18 +263,8 @@ def described(node, name, kind, type_hash):
 def main():
     rclpy.init(args=[])
     node = rclpy.create_node("peer")
-    commands = {
-        "look": look,
-        "parameters": parameters,
-        "set": set_parameter,
-        "lifecycle": lifecycle,
-        "receive": receive,
-        "endpoints_gone": endpoints_gone,
-        "once": once,
-        "announced": announced,
-        "described": described,
-    }
-    commands[sys.argv[1]](node, *sys.argv[2:])
+    commands = [look, parameters, assign, lifecycle, receive, endpoints_gone, once, announced, described]
+    {c.__name__: c for c in commands}[sys.argv[1]](node, *sys.argv[2:])
     node.destroy_node()
     rclpy.shutdown()
 

@@ -1,23 +1,14 @@
 //! Camera calibration files of ROS's `camera_calibration`: YAML → [`CameraModel`].
 
-use crate::{CameraModel, CameraModelError};
+use crate::CameraModel;
 use ros_parameters::yaml;
 use serde::Deserialize;
 use thiserror::Error;
 
-/// Invalid calibration file.
+/// Invalid calibration file: the key or the value, and what is wrong with it.
 #[derive(Debug, Error)]
-pub enum CalibrationFileError {
-    /// The text is not YAML, or a key is missing or has another type.
-    #[error(transparent)]
-    Yaml(#[from] serde_yaml_ng::Error),
-    /// The camera matrix does not have nine entries.
-    #[error("camera_matrix.data has {0} numbers; it must have nine")]
-    Matrix(usize),
-    /// A value is invalid.
-    #[error(transparent)]
-    Model(#[from] CameraModelError),
-}
+#[error("{0}")]
+pub struct CalibrationFileError(String);
 
 #[derive(Deserialize)]
 struct Matrix {
@@ -40,13 +31,17 @@ impl CameraModel {
     /// # Errors
     /// [`CalibrationFileError`], without the name of the file.
     pub fn from_calibration_file(text: &str) -> Result<Self, CalibrationFileError> {
-        let file: File = serde_yaml_ng::from_value(yaml::parse(text)?)?;
-        let k = &file.camera_matrix.data;
-        let k: &[f64; 9] =
-            k.as_slice().try_into().map_err(|_| CalibrationFileError::Matrix(k.len()))?;
+        let file = yaml::parse(text).and_then(serde_yaml_ng::from_value::<File>);
+        let file = file.map_err(|e| CalibrationFileError(e.to_string()))?;
+        let k = file.camera_matrix.data.as_slice();
+        let k: &[f64; 9] = k.try_into().map_err(|_| {
+            let what = format!("camera_matrix.data has {} numbers; it must have nine", k.len());
+            CalibrationFileError(what)
+        })?;
         let d = &file.distortion_coefficients.data;
         let (width, height) = (file.image_width, file.image_height);
-        Ok(Self::from_camera_info(width, height, &file.distortion_model, d, k)?)
+        Self::from_camera_info(width, height, &file.distortion_model, d, k)
+            .map_err(|e| CalibrationFileError(e.to_string()))
     }
 }
 

@@ -133,11 +133,11 @@ pub fn refine(
             damped[(i, i)] *= 1.0 + damping;
         }
         let step: Vector6<f64> = damped.cholesky()?.solve(&now.gradient);
-        let moved = apply(&pose, &step);
-        match normal_equations(layout, camera, pixels, tilt, &moved) {
+        let candidate = moved(&pose, &step);
+        match normal_equations(layout, camera, pixels, tilt, &candidate) {
             Some(next) if next.cost <= now.cost * (1.0 + 1e-12) => {
                 let gain = now.cost - next.cost;
-                pose = moved;
+                pose = candidate;
                 now = next;
                 damping = (damping * 0.1).max(1e-12);
                 if step.norm() < 1e-9 || (gain < 1e-9 * (1.0 + now.cost) && damping < 1e-6) {
@@ -165,8 +165,8 @@ pub fn refine(
     )
 }
 
-/// Applies a step (translation, rotation vector about the camera's axes) to `pose`.
-fn apply(pose: &Isometry3<f64>, step: &Vector6<f64>) -> Isometry3<f64> {
+/// Moves a pose by a translation (m) and a rotation vector (rad) along the camera's axes.
+pub fn moved(pose: &Isometry3<f64>, step: &Vector6<f64>) -> Isometry3<f64> {
     let turn = UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(3).into_owned());
     Isometry3::from_parts(
         Translation3::from(pose.translation.vector + step.fixed_rows::<3>(0)),

@@ -15,7 +15,7 @@ use crate::{
 };
 use keys::Reader;
 use nalgebra::{Isometry3, Point3, Vector2};
-use ros_parameters::{ParameterFile, ParameterFileError, ParameterMap};
+use ros_parameters::{ParameterFile, ParameterMap};
 use std::fmt;
 use thiserror::Error;
 
@@ -74,17 +74,11 @@ pub struct Rig {
     pub colors: PerColor<Option<[f64; 3]>>,
 }
 
-/// Invalid rig file.
+/// Invalid rig file: why it is not a parameter file, or which flat key is missing, unknown or has an
+/// invalid value, and what is valid.
 #[derive(Debug, Error)]
-pub enum RigError {
-    /// The text is not a parameter file.
-    #[error(transparent)]
-    File(#[from] ParameterFileError),
-    /// A key is missing or unknown, or its value is invalid: the flat key, what is wrong, and what
-    /// is valid.
-    #[error("the key {0}")]
-    Key(String),
-}
+#[error("{0}")]
+pub struct RigError(String);
 
 impl Rig {
     /// Parses the text of a rig file: its blocks for all nodes (`/**`, `/*`).
@@ -93,13 +87,14 @@ impl Rig {
     /// [`RigError`] with the key and its valid values, without the name of the file.
     pub fn from_yaml(text: &str) -> Result<Self, RigError> {
         // No node has this name: only the wildcard blocks match.
-        let map = ParameterFile::parse(text)?.for_node("/_rig_file_");
+        let file = ParameterFile::parse(text).map_err(|e| RigError(e.to_string()))?;
+        let map = file.for_node("/_rig_file_");
         let known = rig_keys();
         let is_known = |key: &str| is_of_every_node(key) || known.iter().any(|r| r.name == key);
         if let Some(key) = map.keys().find(|key| !is_known(key)) {
             let hint = did_you_mean(key, known.iter().map(|r| r.name));
-            return Err(RigError::Key(format!(
-                "`{key}` is unknown{hint}; remove it or correct its spelling"
+            return Err(RigError(format!(
+                "the key `{key}` is unknown{hint}; remove it or correct its spelling"
             )));
         }
         Self::from_parameters(&map)
@@ -207,22 +202,18 @@ impl Rig {
 
     fn check_frames(&self) -> Result<(), RigError> {
         let f = &self.frames;
-        let named = [
-            ("frames.world", &f.world),
-            ("frames.climber", &f.climber),
-            ("frames.camera", &f.camera),
-            ("frames.imu", &f.imu),
-            ("frames.volant", &f.volant),
-        ];
-        for (i, (key, name)) in named.iter().enumerate() {
+        let names = [&f.world, &f.climber, &f.camera, &f.imu, &f.volant];
+        let keys = ["world", "climber", "camera", "imu", "volant"];
+        for (i, (name, key)) in names.into_iter().zip(keys).enumerate() {
             let requirement = if name.is_empty() {
                 "a frame id that is not empty"
-            } else if named[..i].iter().any(|(_, other)| other == name) {
+            } else if names[..i].contains(&name) {
                 "a different frame id for each frame"
             } else {
                 continue;
             };
-            return Err(RigError::value(key, format!("{name:?}"), requirement));
+            let key = format!("frames.{key}");
+            return Err(RigError::value(&key, format!("{name:?}"), requirement));
         }
         Ok(())
     }
@@ -230,7 +221,7 @@ impl Rig {
 
 impl RigError {
     fn value(key: &str, value: impl fmt::Display, requirement: &str) -> Self {
-        Self::Key(format!("`{key}` is {value}; valid: {requirement}"))
+        Self(format!("the key `{key}` is {value}; valid: {requirement}"))
     }
 }
 

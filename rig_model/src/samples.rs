@@ -67,6 +67,21 @@ impl MarkerObservation {
     /// `occluded_frames` of a marker that was never detected.
     pub const NEVER: u16 = u16::MAX;
 
+    /// Observation of a measured marker: centroid, px, its covariance, px², and area, px².
+    pub fn detected(centroid: Vector2<f64>, covariance: Matrix2<f64>, area: f64) -> Self {
+        let (state, area) = (MarkerState::Detected, area as f32);
+        Self { state, occluded_frames: 0, centroid, covariance, area }
+    }
+
+    /// Observation of a hidden marker at a predicted centroid, px, with its covariance, px².
+    pub fn predicted(
+        occluded_frames: u16,
+        centroid: Vector2<f64>,
+        covariance: Matrix2<f64>,
+    ) -> Self {
+        Self { state: MarkerState::Predicted, occluded_frames, centroid, covariance, area: 0.0 }
+    }
+
     /// Observation of a lost marker.
     pub fn lost(occluded_frames: u16) -> Self {
         Self {

@@ -66,27 +66,13 @@ impl Coverage {
     /// is to its right.
     fn edge(&mut self, a: [f64; 2], b: [f64; 2]) {
         let w = self.width as f64;
-        let mut cuts = [0.0, 1.0, 1.0, 1.0];
-        let mut n = 1;
         let dx = b[0] - a[0];
-        if dx != 0.0 {
-            let mut at = [(0.0 - a[0]) / dx, (w - a[0]) / dx];
-            if at[0] > at[1] {
-                at.swap(0, 1);
-            }
-            for t in at {
-                if t > 0.0 && t < 1.0 {
-                    cuts[n] = t;
-                    n += 1;
-                }
-            }
-        }
-        cuts[n] = 1.0;
-        for i in 0..n {
+        let cut = |x: f64| if dx == 0.0 { 0.0 } else { ((x - a[0]) / dx).clamp(0.0, 1.0) };
+        let (left, right) = (cut(0.0), cut(w));
+        for ends in [0.0, left.min(right), left.max(right), 1.0].windows(2) {
+            // No piece crosses a border, so that clamping its ends is exact.
             let at = |t: f64| [(a[0] + t * dx).clamp(0.0, w), a[1] + t * (b[1] - a[1])];
-            // The middle decides on which side of a border the piece lies; clamping its ends is
-            // then exact.
-            self.edge_inside(at(cuts[i]), at(cuts[i + 1]));
+            self.edge_inside(at(ends[0]), at(ends[1]));
         }
     }
 

@@ -5,7 +5,7 @@
 //! [`Recording`].
 
 use crate::{motion::Motion, random::Random};
-use nalgebra::{Isometry3, Matrix2, Matrix3, Translation3, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix3, UnitQuaternion, Vector2, Vector3};
 use rig_model::{
     CameraModel, ClimberSample, ImuSample, MarkerColor, MarkerObservation, MarkerObservations,
     MarkerState, OrientationSample, PerColor, Rig, Sample, Stamp,
@@ -237,13 +237,10 @@ impl<'a> Sensors<'a> {
         (0..count)
             .map(|i| {
                 let t = (i as f64 + 0.45) / c.climber_rate + 1e-4 * r.normal();
-                let [x, y, turn] = self.encoders(t, &mut r);
+                let reading = self.encoders(t, &mut r);
                 let sample = ClimberSample {
                     stamp: c.epoch.plus_seconds(t + c.climber_clock_ahead),
-                    world_from_climber: Isometry3::from_parts(
-                        Translation3::new(x, y, self.motion.config().climber_height),
-                        UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn),
-                    ),
+                    world_from_climber: self.motion.climber_pose(reading),
                 };
                 let delay = r.within(c.climber_delay[0], c.climber_delay[1] + 1e-9);
                 (c.epoch.plus_seconds(t + delay), Message::Climber(sample))
@@ -271,13 +268,8 @@ impl<'a> Sensors<'a> {
                 match self.ideal_centroid(color, t + late) {
                     Some((pixel, area)) if !hidden => {
                         hidden_for[k] = 0;
-                        MarkerObservation {
-                            state: MarkerState::Detected,
-                            occluded_frames: 0,
-                            centroid: pixel + noise,
-                            covariance: Matrix2::identity() * c.pixel_noise.max(1e-3).powi(2),
-                            area: area as f32,
-                        }
+                        let covariance = Matrix2::identity() * c.pixel_noise.max(1e-3).powi(2);
+                        MarkerObservation::detected(pixel + noise, covariance, area)
                     }
                     _ => {
                         hidden_for[k] = hidden_for[k].saturating_add(1);
@@ -325,13 +317,7 @@ mod tests {
     #[test]
     fn a_stationary_imu_measures_gravity_upwards_and_data_arrive_in_order() {
         let rig = Rig::from_yaml(crate::RIG_YAML).unwrap();
-        let camera = CameraModel::new(
-            640,
-            480,
-            [590.0, 590.0, 319.5, 239.5],
-            rig_model::Distortion::PlumbBob([-0.23, 0.08, 7e-4, -4e-4, -0.006]),
-        )
-        .unwrap();
+        let camera = crate::render::tests::camera();
         let motion = Motion::new(MotionConfig::rest(1));
         let config = SensorConfig::nominal(1);
         let sensors = Sensors::new(&motion, &rig, &camera, &config);

@@ -6,15 +6,16 @@
 //! the one that [`rig_model::MarkerLayout::projected_centroid`] predicts; a test asserts it to 0.01
 //! px.
 
-use crate::shadow::Shadow;
 use crate::{
     coverage::Coverage,
     floor::{Colour, Floor, Material, Noise, blend, circle, rectangle},
     platform::{Piece, Platform},
     random::Random,
+    shadow::Shadow,
 };
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 use rig_model::{CameraModel, MarkerColor, MarkerLayout, PerColor, Rig};
+use std::ops::Range;
 
 /// What there is to see, apart from the rig itself.
 #[derive(Clone, Debug)]
@@ -31,8 +32,6 @@ pub struct SceneConfig {
     pub shot_noise: f64,
     /// Darkening of the image's corners (vignette).
     pub vignetting: f64,
-    /// Brightness of the whole scene.
-    pub brightness: f64,
     /// Where the rope comes from, climber frame, m.
     pub hoist: Point3<f64>,
     /// Shadows on floor and platform.
@@ -48,7 +47,6 @@ impl Default for SceneConfig {
             read_noise: 1.2,
             shot_noise: 0.02,
             vignetting: 0.22,
-            brightness: 1.0,
             hoist: Point3::new(0.0, 0.16, 0.0),
             shadows: Vec::new(),
         }
@@ -57,7 +55,7 @@ impl Default for SceneConfig {
 
 impl SceneConfig {
     /// Colors of the squares in full light.
-    pub fn marker_colours(&self) -> [Colour; 4] {
+    fn marker_colours(&self) -> [Colour; 4] {
         self.colours.unwrap_or_else(|| {
             let mut random = Random::fork(self.seed, "colours");
             [[196.0, 42.0, 58.0], [68.0, 160.0, 76.0], [48.0, 102.0, 184.0], [228.0, 206.0, 62.0]]
@@ -111,7 +109,6 @@ pub struct Renderer {
     layout: MarkerLayout,
     floor: Floor,
     platform: Platform,
-    marker_colours: [Colour; 4],
     /// Undistorted ray (x/z, y/z) through each pixel.
     rays: Vec<[f32; 2]>,
     vignette: Vec<f32>,
@@ -120,13 +117,6 @@ pub struct Renderer {
     normals: Vec<f32>,
     coverage: Coverage,
     canvas: Vec<Colour>,
-}
-
-/// The part of the image that is redrawn at each instant.
-#[derive(Clone, Copy, Debug)]
-struct Region {
-    x: (usize, usize),
-    y: (usize, usize),
 }
 
 impl Renderer {
@@ -149,7 +139,7 @@ impl Renderer {
                 let ray = camera.undistort(&pixel).unwrap_or(Vector2::repeat(f64::NAN));
                 rays.push([ray.x as f32, ray.y as f32]);
                 let r = (pixel - principal).norm() / far;
-                vignette.push((scene.brightness * (1.0 - scene.vignetting * r * r)) as f32);
+                vignette.push((1.0 - scene.vignetting * r * r) as f32);
             }
         }
         let mut noise = Random::fork(scene.seed, "noise table");
@@ -158,7 +148,6 @@ impl Renderer {
             floor: Floor::new(scene.seed, material, scene.clutter.then_some(&marker_colours)),
             platform: Platform::new(&rig.markers, &marker_colours, scene.seed),
             layout: rig.markers.clone(),
-            marker_colours,
             rays,
             vignette,
             light,
@@ -236,10 +225,10 @@ impl Renderer {
         let light = self.light_at(center[0] as f32, center[1] as f32);
         let camera_from_world = world_from_camera.inverse();
         let width = self.camera.size().0 as usize;
-        for (flat, colour) in [
-            (rectangle(center, angle, 0.05, 0.075), self.marker_colours[0]),
-            (circle(center, 0.03, 24), self.marker_colours[2]),
-        ] {
+        let [red, _, blue, _] = self.scene.marker_colours();
+        for (flat, colour) in
+            [(rectangle(center, angle, 0.05, 0.075), red), (circle(center, 0.03, 24), blue)]
+        {
             let contour = flat.iter().map(|p| Point3::new(p[0], p[1], 0.0)).collect();
             let piece = Piece { contours: vec![contour], colour, grain: 0.0 };
             let Some(drawn) = self.project_piece(&piece, &camera_from_world, light) else {
@@ -259,21 +248,20 @@ impl Renderer {
             .iter()
             .map(|instant| self.project_rig(instant, &exposure.covers))
             .collect();
-        let Some(region) = self.region(drawings.iter().flatten()) else { return };
-        let row = |y: usize| y * width + region.x.0..y * width + region.x.1;
-        let rows = || region.y.0..region.y.1;
+        let Some([columns, rows]) = self.region(drawings.iter().flatten()) else { return };
+        let row = |y: usize| y * width + columns.start..y * width + columns.end;
+        let rows = || rows.clone();
         let floor: Vec<Colour> = rows().flat_map(|y| canvas[row(y)].to_vec()).collect();
-        let columns = region.x.1 - region.x.0;
         let mut sum = vec![[0.0_f32; 3]; floor.len()];
         let weight = 1.0 / drawings.len() as f32;
         for (drawn, instant) in drawings.iter().zip(&exposure.instants) {
-            for (y, line) in rows().zip(floor.chunks(columns)) {
+            for (y, line) in rows().zip(floor.chunks(columns.len())) {
                 canvas[row(y)].copy_from_slice(line);
             }
             for piece in drawn {
                 self.paint(canvas, piece, instant, exposure.seconds);
             }
-            for (y, line) in rows().zip(sum.chunks_mut(columns)) {
+            for (y, line) in rows().zip(sum.chunks_mut(columns.len())) {
                 for (total, value) in line.iter_mut().zip(&canvas[row(y)]) {
                     for (t, v) in total.iter_mut().zip(value) {
                         *t += weight * v;
@@ -281,12 +269,13 @@ impl Renderer {
                 }
             }
         }
-        for (y, line) in rows().zip(sum.chunks(columns)) {
+        for (y, line) in rows().zip(sum.chunks(columns.len())) {
             canvas[row(y)].copy_from_slice(line);
         }
     }
 
-    fn region<'a>(&self, drawn: impl Iterator<Item = &'a Drawn>) -> Option<Region> {
+    /// Columns and rows of the image that are redrawn at each instant; `None` where there are none.
+    fn region<'a>(&self, drawn: impl Iterator<Item = &'a Drawn>) -> Option<[Range<usize>; 2]> {
         let (width, height) = self.camera.size();
         let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
         for corner in drawn.flat_map(|d| d.contours.iter().flatten()) {
@@ -297,10 +286,10 @@ impl Renderer {
         }
         let span = |i: usize, size: u32| {
             let size = f64::from(size);
-            ((low[i] - 1.0).clamp(0.0, size) as usize, (high[i] + 2.0).clamp(0.0, size) as usize)
+            (low[i] - 1.0).clamp(0.0, size) as usize..(high[i] + 2.0).clamp(0.0, size) as usize
         };
-        let region = Region { x: span(0, width), y: span(1, height) };
-        (low[0].is_finite() && region.x.0 < region.x.1 && region.y.0 < region.y.1).then_some(region)
+        let region = [span(0, width), span(1, height)];
+        (low[0].is_finite() && region.iter().all(|r| !r.is_empty())).then_some(region)
     }
 
     /// Vignetting, noise, and eight bits.
@@ -364,4 +353,4 @@ impl RgbImage {
 mod paint;
 mod projection;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -1,6 +1,7 @@
 //! How far a track is from the truth, axis by axis: the rows of the paper's Table II; and the
 //! IMU alone.
 
+use crate::live::Scenario;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rig_model::{
     ImuSample, Stamp,
@@ -59,24 +60,27 @@ impl Errors {
     }
 }
 
+/// Threshold control of [`inertial_alone`] as published, m/s.
+pub const THRESHOLD: f64 = 1e-5;
+
 /// IMU alone, as in the paper: its own attitude gives the rotation (the unknown heading is that of
-/// the first pose); accelerations, rotated into the world and without gravity, are integrated
-/// twice, without `gravity` (m/s²). Where the velocity changes by less than `threshold` (m/s) from
-/// one sample to the next, the IMU counts as stationary.
+/// the first pose); accelerations, rotated into the world and without the scenario's gravity, are
+/// integrated twice. Where the velocity changes by less than `threshold` (m/s) from one sample to
+/// the next, the IMU counts as stationary, as it is at the first pose.
 ///
 /// Samples before the first pose's stamp and samples without an attitude are passed over.
 pub fn inertial_alone(
+    scenario: &Scenario,
     samples: &[ImuSample],
-    volant_from_imu: &Isometry3<f64>,
     first: &(Stamp, Isometry3<f64>),
-    velocity: Vector3<f64>,
-    gravity: f64,
     threshold: f64,
 ) -> Track {
+    let volant_from_imu = &scenario.rig.imu.volant_from_imu;
     let imu_from_volant = volant_from_imu.inverse();
-    let gravity = Vector3::new(0.0, 0.0, gravity);
+    let gravity = Vector3::new(0.0, 0.0, scenario.sensors.gravity);
     let mut heading: Option<UnitQuaternion<f64>> = None;
-    let (mut position, mut velocity, mut last) = (first.1.translation.vector, velocity, first.0);
+    let (mut position, mut velocity) = (first.1.translation.vector, Vector3::<f64>::zeros());
+    let mut last = first.0;
     // The IMU is not in the platform's origin: it measures the motion of its own place.
     let mut lever = Vector3::zeros();
     let mut before: Option<Vector3<f64>> = None;
@@ -115,43 +119,18 @@ pub fn inertial_alone(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rig_model::{CameraModel, Distortion, Rig};
-    use rig_simulator::{
-        inertial::{SensorConfig, Sensors},
-        motion::{Motion, MotionConfig},
-    };
 
     fn run(noise: f64, bias: f64) -> (Errors, Errors) {
-        let rig = Rig::from_yaml(rig_simulator::RIG_YAML).unwrap();
-        let camera = CameraModel::new(
-            640,
-            480,
-            [590.0, 590.0, 319.5, 239.5],
-            Distortion::PlumbBob([0.0; 5]),
-        )
-        .unwrap();
-        let motion = Motion::new(MotionConfig { duration: 6.0, ..MotionConfig::nominal(3) });
-        let config = SensorConfig {
-            imu_noise_factor: noise,
-            attitude_error: 1e-9 + 0.0096 * noise,
-            accelerometer_bias: Vector3::repeat(bias),
-            ..SensorConfig::nominal(3)
-        };
-        let samples = Sensors::new(&motion, &rig, &camera, &config).imu_samples();
-        let truth = |s: Stamp| motion.world_from_volant(s.seconds_since(config.epoch));
+        let mut scenario = Scenario::swing(3, 6.0).unwrap();
+        scenario.sensors.imu_noise_factor = noise;
+        scenario.sensors.attitude_error = 1e-9 + 0.0096 * noise;
+        scenario.sensors.accelerometer_bias = Vector3::repeat(bias);
+        let samples = scenario.simulated_sensors().imu_samples();
+        let epoch = scenario.sensors.epoch;
+        let truth = |s: Stamp| scenario.motion.world_from_volant(s.seconds_since(epoch));
         let start = samples[0].stamp;
-        let k = motion.kinematics(start.seconds_since(config.epoch));
-        let lever = k.world_from_volant.rotation
-            * k.angular_velocity.cross(&rig.imu.volant_from_imu.translation.vector);
-        let track = inertial_alone(
-            &samples,
-            &rig.imu.volant_from_imu,
-            &(start, truth(start)),
-            k.velocity + lever,
-            config.gravity,
-            1e-5,
-        );
-        let at = |t| config.epoch.plus_seconds(t);
+        let track = inertial_alone(&scenario, &samples, &(start, truth(start)), THRESHOLD);
+        let at = |t| epoch.plus_seconds(t);
         let errors = |from, to| Errors::of(&track, at(from), at(to), truth);
         (errors(0.0, 1.0), errors(5.0, 6.0))
     }

@@ -4,7 +4,6 @@
 use crate::accuracy::{AXES, Errors, UNITS};
 use node_kit::files::{self, FileError};
 use std::{
-    fmt::Write,
     path::{Path, PathBuf},
     process::Command,
 };
@@ -66,30 +65,21 @@ pub type Row<'a> = (&'a str, &'a Errors);
 
 /// Root mean square and maximum of each axis, one column per estimate.
 pub fn table(rows: &[Row<'_>]) -> String {
-    let mut text = format!("{:<12}", "");
-    for (name, _) in rows {
-        let _ = write!(text, "{name:>24}");
-    }
-    let _ = write!(text, "\n{:<12}", "");
-    for _ in rows {
-        let _ = write!(text, "{:>14}{:>10}", "RMSE", "max");
-    }
+    let mut lines = Vec::new();
+    let mut line = |name: &str, cells: &dyn Fn(&Row<'_>) -> String| {
+        lines.push(format!("{name:<12}{}", rows.iter().map(cells).collect::<String>()));
+    };
+    line("", &|(name, _)| format!("{name:>24}"));
+    line("", &|_| format!("{:>14}{:>10}", "RMSE", "max"));
     for (i, (axis, unit)) in AXES.iter().zip(UNITS).enumerate() {
-        let _ = write!(text, "\n{:<12}", format!("{axis} [{unit}]"));
-        for (_, errors) in rows {
-            let digits = if i < 3 { 2 } else { 3 };
-            let _ = write!(text, "{:>14.digits$}{:>10.digits$}", errors.rmse[i], errors.max[i]);
-        }
+        let digits = if i < 3 { 2 } else { 3 };
+        line(&format!("{axis} [{unit}]"), &|(_, errors)| {
+            format!("{:>14.digits$}{:>10.digits$}", errors.rmse[i], errors.max[i])
+        });
     }
-    let _ = write!(text, "\n{:<12}", "3-D [mm]");
-    for (_, errors) in rows {
-        let _ = write!(text, "{:>14.2}{:>10}", errors.position_rmse, "");
-    }
-    let _ = write!(text, "\n{:<12}", "angle [deg]");
-    for (_, errors) in rows {
-        let _ = write!(text, "{:>14.3}{:>10}", errors.rotation_rmse, "");
-    }
-    text
+    line("3-D [mm]", &|(_, errors)| format!("{:>14.2}{:>10}", errors.position_rmse, ""));
+    line("angle [deg]", &|(_, errors)| format!("{:>14.3}{:>10}", errors.rotation_rmse, ""));
+    lines.join("\n")
 }
 
 #[cfg(test)]

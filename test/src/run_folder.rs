@@ -7,7 +7,6 @@
 use anyhow::{Result, anyhow, ensure};
 use std::{
     collections::BTreeSet,
-    fmt::Write as _,
     fs, io,
     os::unix::fs::MetadataExt,
     path::{Path, PathBuf},
@@ -31,22 +30,20 @@ impl RunFolder {
         fs::create_dir_all(path).map_err(|e| failed(path, &e))?;
         let list = fs::read_to_string(path.join(LIST)).unwrap_or_default();
         let listed: BTreeSet<&str> = list.lines().collect();
-        let (mut files, mut folders) = (vec![], vec![]);
-        walk_run(path, &mut files, &mut folders).map_err(|e| failed(path, &e))?;
-        for file in &files {
+        let contents = contents(path).map_err(|e| failed(path, &e))?;
+        for (file, is_folder) in &contents {
             ensure!(
-                entry(path, file).is_some_and(|entry| listed.contains(entry.as_str())),
+                *is_folder
+                    || entry(path, file).is_some_and(|entry| listed.contains(entry.as_str())),
                 "{}: it is not from an earlier run, or was changed since; nothing is removed: give \
                  --out an empty or new folder",
                 file.display()
             );
         }
-        for file in &files {
-            fs::remove_file(file).map_err(|e| failed(file, &e))?;
-        }
         // The innermost first.
-        for folder in folders.iter().rev() {
-            fs::remove_dir(folder).map_err(|e| failed(folder, &e))?;
+        for (item, is_folder) in contents.iter().rev() {
+            let removed = if *is_folder { fs::remove_dir(item) } else { fs::remove_file(item) };
+            removed.map_err(|e| failed(item, &e))?;
         }
         running().insert(path.to_owned());
         Ok(Self(path.to_owned()))
@@ -75,12 +72,10 @@ fn running() -> std::sync::MutexGuard<'static, BTreeSet<PathBuf>> {
 
 /// Writes the list of a folder. Where that fails, the next run finds files without a list.
 fn write_list(folder: &Path) {
-    let (mut files, mut text) = (vec![], String::new());
-    if walk_run(folder, &mut files, &mut vec![]).is_ok() {
-        for line in files.iter().filter_map(|file| entry(folder, file)) {
-            let _ = writeln!(text, "{line}");
-        }
-        let _ = fs::write(folder.join(LIST), text);
+    if let Ok(contents) = contents(folder) {
+        let files = contents.iter().filter(|(_, is_folder)| !is_folder);
+        let lines = files.filter_map(|(file, _)| Some(entry(folder, file)? + "\n"));
+        let _ = fs::write(folder.join(LIST), lines.collect::<String>());
     }
 }
 
@@ -91,26 +86,21 @@ fn entry(folder: &Path, file: &Path) -> Option<String> {
     Some(format!("{} {}.{:09} {name}", there.len(), there.mtime(), there.mtime_nsec()))
 }
 
-/// Collects files and folders below `folder`, without its own list; links are files.
-fn walk_run(folder: &Path, files: &mut Vec<PathBuf>, folders: &mut Vec<PathBuf>) -> io::Result<()> {
-    walk(folder, files, folders)?;
-    // A folder in it can be that of a run that this one has started.
-    files.retain(|file| *file != folder.join(LIST));
-    Ok(())
-}
-
-fn walk(folder: &Path, files: &mut Vec<PathBuf>, folders: &mut Vec<PathBuf>) -> io::Result<()> {
-    for item in fs::read_dir(folder)? {
-        let item = item?;
-        let path = item.path();
-        if item.file_type()?.is_dir() {
-            folders.push(path.clone());
-            walk(&path, files, folders)?;
-        } else {
-            files.push(path);
+/// What is below `folder`, each folder before its contents, and whether it is a folder; without the
+/// folder's own list. Links are files.
+fn contents(folder: &Path) -> io::Result<Vec<(PathBuf, bool)>> {
+    let (mut found, mut unread) = (vec![], vec![folder.to_owned()]);
+    while let Some(folder) = unread.pop() {
+        for item in fs::read_dir(folder)? {
+            let item = item?;
+            let is_folder = item.file_type()?.is_dir();
+            unread.extend(is_folder.then(|| item.path()));
+            found.push((item.path(), is_folder));
         }
     }
-    Ok(())
+    // A folder in it can be that of a run that this one has started, with a list of its own.
+    found.retain(|(path, _)| *path != folder.join(LIST));
+    Ok(found)
 }
 
 #[cfg(test)]

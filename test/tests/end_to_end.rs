@@ -33,36 +33,31 @@ const DOMAIN: u16 = 87;
 const SECONDS: f64 = 7.0;
 const LONG: Duration = Duration::from_secs(60);
 
-struct Peer(Running);
+/// Starts the peer; `None` where there is no Python for it.
+fn start_peer() -> Option<Running> {
+    let python = test_support::python("cyclonedds")?;
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peer/listen.py");
+    let mut command = Command::new(python);
+    command.arg(script).args([DOMAIN.to_string().as_str(), "60"]).stdin(Stdio::piped());
+    let peer = Running::start(&mut command);
+    peer.line_with("ready", LONG);
+    Some(peer)
+}
 
-impl Peer {
-    /// `None` where there is no Python for it.
-    fn start() -> Option<Self> {
-        let python = test_support::python("cyclonedds")?;
-        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peer/listen.py");
-        let mut command = Command::new(python);
-        command.arg(script).args([DOMAIN.to_string().as_str(), "60"]).stdin(Stdio::piped());
-        let peer = Running::start(&mut command);
-        peer.line_with("ready", LONG);
-        Some(Self(peer))
-    }
-
-    /// By topic and stamp: frame and values.
-    fn finish(mut self) -> HashMap<(String, i64), (String, Vec<f64>)> {
-        self.0.write_line("end");
-        let (status, lines) = self.0.finish(LONG);
-        assert!(status.success(), "{lines:?}");
-        let parse = |line: &String| {
-            let value: serde_json::Value = serde_json::from_str(line).unwrap();
-            let values = value["values"].as_array().unwrap();
-            let key =
-                (value["topic"].as_str().unwrap().to_owned(), value["stamp"].as_i64().unwrap());
-            let frame = value["frame"].as_str().unwrap().to_owned();
-            (key, (frame, values.iter().map(|v| v.as_str().unwrap().parse().unwrap()).collect()))
-        };
-        // Warnings are not JSON.
-        lines.iter().filter(|line| line.starts_with('{')).map(parse).collect()
-    }
+/// What the peer received, by topic and stamp: frame and values.
+fn finish_peer(mut peer: Running) -> HashMap<(String, i64), (String, Vec<f64>)> {
+    peer.write_line("end");
+    let (status, lines) = peer.finish(LONG);
+    assert!(status.success(), "{lines:?}");
+    let parse = |line: &String| {
+        let value: serde_json::Value = serde_json::from_str(line).unwrap();
+        let values = value["values"].as_array().unwrap();
+        let key = (value["topic"].as_str().unwrap().to_owned(), value["stamp"].as_i64().unwrap());
+        let frame = value["frame"].as_str().unwrap().to_owned();
+        (key, (frame, values.iter().map(|v| v.as_str().unwrap().parse().unwrap()).collect()))
+    };
+    // Warnings are not JSON.
+    lines.iter().filter(|line| line.starts_with('{')).map(parse).collect()
 }
 
 /// Equal to the last bit, NaN being itself.
@@ -76,24 +71,29 @@ fn render() -> (Scenario, Arc<ImageSequence>) {
     (scenario, Arc::new(images))
 }
 
-/// Runs the rig with its logs in `folder`; the instants between which it is evaluated.
-fn ran(scenario: &Scenario, images: Arc<ImageSequence>, folder: &Path) -> (Ended, Stamp, Stamp) {
+/// Runs the rig with its logs in `folder`; the stamp of the scenario's zero, and the instants
+/// between which it is evaluated.
+fn ran(
+    scenario: &Scenario,
+    images: Arc<ImageSequence>,
+    folder: &Path,
+) -> (Ended, Stamp, [Stamp; 2]) {
     let network = Network { domain_id: DOMAIN, ..Network::default() };
     let mut run = Run::start(scenario, images, &Site::here(&network), folder).unwrap();
     run.wait_for_pose(30.0).unwrap();
     let epoch = run.begin();
     run.play_until(SECONDS + 0.3, |_, _| {}).unwrap();
     let ended = run.finish().unwrap();
-    (ended, epoch.plus_seconds(1.0), epoch.plus_seconds(SECONDS - 0.1))
+    (ended, epoch, [1.0, SECONDS - 0.1].map(|t| epoch.plus_seconds(t)))
 }
 
 #[test]
 fn four_processes_turn_frames_bytes_and_encoders_into_the_pose() {
     let (scenario, images) = render();
     let folder = std::env::temp_dir().join(format!("volant-end-to-end-{}", std::process::id()));
-    let peer = Peer::start();
-    let (ended, from, to) = ran(&scenario, images, &folder);
-    let (received, epoch) = (&ended.received, ended.epoch);
+    let peer = start_peer();
+    let (ended, epoch, [from, to]) = ran(&scenario, images, &folder);
+    let received = &ended.received;
     let truth = |at: Stamp| scenario.motion.world_from_volant(at.seconds_since(epoch));
 
     check_rates(received, from, to);
@@ -112,7 +112,7 @@ fn four_processes_turn_frames_bytes_and_encoders_into_the_pose() {
     }
     if let Some(peer) = peer {
         std::thread::sleep(Duration::from_millis(200));
-        check_peer(received, &peer.finish(), from, to);
+        check_peer(received, &finish_peer(peer), from, to);
     }
     std::fs::remove_dir_all(&folder).unwrap();
 }
@@ -122,7 +122,7 @@ fn four_processes_turn_frames_bytes_and_encoders_into_the_pose() {
 fn odometry_contains_an_image_within_50_ms() {
     let (scenario, images) = render();
     let folder = tempfile::tempdir().unwrap();
-    let (ended, from, to) = ran(&scenario, images, folder.path());
+    let (ended, _, [from, to]) = ran(&scenario, images, folder.path());
     let latencies = ended.received.latencies(from, to);
     // Other processes delay some images; a wait inside the nodes would show in the best second too.
     let best = latencies

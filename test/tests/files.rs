@@ -4,6 +4,7 @@
 
 use node_kit::convert;
 use rig_model::topics;
+use rig_simulator::RIG_YAML;
 use rustix::process::{Pid, Signal, kill_process};
 use std::{
     fs,
@@ -37,7 +38,7 @@ impl Place {
             convert::climber_message(sample, &scenario.rig.frames)
         })
         .unwrap();
-        fs::write(place.path("rig.yaml"), &scenario.rig_yaml).unwrap();
+        fs::write(place.path("rig.yaml"), RIG_YAML).unwrap();
         place
     }
 

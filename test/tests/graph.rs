@@ -106,9 +106,7 @@ fn node(domain: u16, label: &str, name: &str, arguments: &[&str]) -> Node {
     let folder = std::env::temp_dir().join(format!("volant-graph-{}", std::process::id()));
     let folder = folder.join(label);
     std::fs::create_dir_all(&folder).unwrap();
-    let mut words = vec!["--rig", RIG];
-    words.extend(arguments);
-    let words: Vec<String> = words.into_iter().map(str::to_owned).collect();
+    let words = [&["--rig", RIG], arguments].concat();
     let environment = [("ROS_DOMAIN_ID".to_owned(), domain.to_string())];
     Node::start(None, name, &words, &environment, &folder).unwrap()
 }

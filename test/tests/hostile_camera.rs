@@ -100,7 +100,7 @@ impl NodeShell for Camera {
 fn a_jpeg_with_hundreds_of_scans_is_refused_and_the_tracker_goes_on() {
     let folder = tempfile::tempdir().unwrap();
     let rig = concat!(env!("CARGO_MANIFEST_DIR"), "/../launch_config/config/rig.yaml");
-    let words = ["--rig", rig, "--image_transport", "compressed"].map(str::to_owned);
+    let words = ["--rig", rig, "--image_transport", "compressed"];
     let environment = [("ROS_DOMAIN_ID".to_owned(), DOMAIN.to_string())];
     let mut tracker =
         Node::start(None, "marker_tracker", &words, &environment, folder.path()).unwrap();

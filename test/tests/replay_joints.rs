@@ -5,7 +5,7 @@ use bag::recording::map_messages;
 use climber_driver::{Climber, ClimberConfig, JointReading, Output};
 use node_kit::convert;
 use rig_model::{ClimberSample, topics};
-use rig_simulator::motion::MotionConfig;
+use rig_simulator::{RIG_YAML, motion::MotionConfig};
 use std::{
     fs,
     path::{Path, PathBuf},
@@ -66,7 +66,7 @@ impl Place {
         let place = Self { folder: TempDir::new().unwrap(), scenario };
         let topic = topics::absolute::JOINT_STATES;
         from_sensors(&place.path("joints.mcap"), &place.scenario, topic, joints).unwrap();
-        fs::write(place.path("rig.yaml"), &place.scenario.rig_yaml).unwrap();
+        fs::write(place.path("rig.yaml"), RIG_YAML).unwrap();
         place
     }
 
@@ -104,7 +104,7 @@ fn encoder_readings_give_the_pose_of_the_drivers_transforms() {
     let parameters = PARAMETERS.replace("HEIGHT", &format!("{height:?}"));
     let (rig, params, both) = (path("rig.yaml"), path("climber.yaml"), path("both.yaml"));
     fs::write(&params, &parameters).unwrap();
-    fs::write(&both, format!("{}\n{parameters}", scenario.rig_yaml)).unwrap();
+    fs::write(&both, format!("{RIG_YAML}\n{parameters}")).unwrap();
     let done = |bag: &str, out: &str, rig: &Path, more: &[&str]| {
         let output = replay(&path(bag), &path(out), rig, more);
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -120,7 +120,7 @@ fn encoder_readings_give_the_pose_of_the_drivers_transforms() {
     assert!(heights.iter().all(|z| (z - height).abs() < 1e-12));
     // In a namespace, with the block of that rig's driver and another topic.
     let there = parameters.replace("climber_driver:", "/rig2/climber_driver:");
-    fs::write(&both, format!("{}\n{there}", scenario.rig_yaml)).unwrap();
+    fs::write(&both, format!("{RIG_YAML}\n{there}")).unwrap();
     let output = replay(&path("joints.mcap"), &path("there.mcap"), &both, &["--namespace", "rig2"]);
     assert!(!output.status.success(), "the topics are not in that namespace");
     let remaps: Vec<String> =
@@ -203,7 +203,7 @@ fn encoder_readings_of_other_joints_are_named_by_replay() {
     let path = |name: &str| place.path(name);
     // The joints are not named in the parameters.
     let block = "climber_driver: {ros__parameters: {height: 3.0}}";
-    fs::write(path("rig.yaml"), format!("{}\n{block}\n", place.scenario.rig_yaml)).unwrap();
+    fs::write(path("rig.yaml"), format!("{RIG_YAML}\n{block}\n")).unwrap();
     let output = replay(&path("joints.mcap"), &path("out.mcap"), &path("rig.yaml"), &[]);
     let printed = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{printed}");
@@ -216,7 +216,6 @@ fn encoder_readings_of_other_joints_are_named_by_replay() {
 fn a_replay_rejects_what_a_live_node_rejects() {
     let place = Place::new(3.0);
     let [bag, out, rig] = ["joints.mcap", "out.mcap", "rig.yaml"].map(|name| place.path(name));
-    let scenario = &place.scenario;
     for (node, block) in [
         ("pose_fusion", "/pose_fusoin: {ros__parameters: {model: paper}}"),
         ("climber_driver", "/rig/climber_drvier: {ros__parameters: {height: 1.0}}"),
@@ -234,9 +233,9 @@ fn a_replay_rejects_what_a_live_node_rejects() {
         let text = match block.strip_prefix("/**: {ros__parameters: {") {
             Some(more) => {
                 let line = format!("ros__parameters:\n    {}", more.trim_end_matches('}'));
-                scenario.rig_yaml.replacen("ros__parameters:", &line, 1)
+                RIG_YAML.replacen("ros__parameters:", &line, 1)
             }
-            None => format!("{}\n{block}\n", scenario.rig_yaml),
+            None => format!("{RIG_YAML}\n{block}\n"),
         };
         fs::write(&rig, text).unwrap();
         let replayed = replay(&bag, &out, &rig, &[]);

@@ -11,8 +11,8 @@ use std::path::Path;
 use volant_test::{
     live::{ImageSequence, Scenario},
     paper::{
-        Made, NAMES, curves::Curves, occlusion::figure_6, peers, report::write_report,
-        stages::Stages, stationary::figure_9,
+        Made, NAMES, curves::Curves, occlusion::figure_6, peers, report::render, stages::Stages,
+        stationary::figure_9,
     },
 };
 
@@ -27,8 +27,10 @@ const PEERS: [(&str, &str); 6] = [
     ("bench.csv", include_str!("data/bench.csv")),
 ];
 
-/// Every figure, from runs that are as short as they may be.
-fn make(folder: &Path) -> Vec<Made> {
+/// Every figure, from runs that are as short as they may be, and the page that shows them.
+fn make() -> (Vec<Made>, String) {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
     for (name, text) in PEERS {
         std::fs::write(folder.join(name), text).unwrap();
     }
@@ -39,35 +41,34 @@ fn make(folder: &Path) -> Vec<Made> {
     let curves = Curves::of(&scenario, &images).unwrap();
     let made = vec![
         peers::boards("fig-2", folder).unwrap(),
-        stages.figure_4(folder).unwrap(),
-        stages.figure_5(folder).unwrap(),
-        figure_6(1, folder, threads, |_| {}).unwrap(),
+        stages.figure_4().unwrap(),
+        stages.figure_5().unwrap(),
+        figure_6(1, threads, |_| {}).unwrap(),
         peers::boards("fig-7", folder).unwrap(),
-        figure_9(1, folder).unwrap(),
+        figure_9(1).unwrap(),
         peers::table_1(folder).unwrap(),
         peers::figure_11(folder).unwrap(),
         peers::figure_12(folder).unwrap(),
-        curves.figure_13(&scenario, folder).unwrap(),
-        curves.table_2(&scenario, folder).unwrap(),
+        curves.figure_13().unwrap(),
+        curves.table_2(),
     ];
-    let facts = [("Command".to_owned(), "`cargo test -p volant_test --test report`".to_owned())];
-    write_report(folder, &facts, &made, &[("nothing", "a reason why".to_owned())]).unwrap();
-    made
+    let facts =
+        vec![("Command".to_owned(), "`cargo test -p volant_test --test report`".to_owned())];
+    let page = render(facts, &made, &[("nothing", "a reason why".to_owned())]);
+    (made, page)
 }
 
 #[test]
 fn every_figure_is_in_the_report() {
-    let folder = tempfile::tempdir().unwrap();
-    let made = make(folder.path());
+    let (made, html) = make();
     assert_eq!(made.iter().map(|m| m.name).collect::<Vec<_>>(), NAMES);
     for m in &made {
-        assert!(m.csv.is_file() && m.svg.is_file(), "{}", m.name);
+        assert!(!m.csv.is_empty() && !m.svg.is_empty(), "{}", m.name);
         let words = format!("{}: {} {}", m.name, m.shows, m.published);
         assert!(!words.contains("NaN"), "{words}");
         assert!(!m.values.is_empty(), "{}: published values beside ours", m.name);
         assert!(!m.values.iter().any(|v| v.here.contains("NaN")), "{:?}", m.values);
     }
-    let html = std::fs::read_to_string(folder.path().join("report.html")).unwrap();
     for name in NAMES {
         assert!(html.contains(&format!("<section id=\"{name}\">")), "{name}");
     }
@@ -82,8 +83,9 @@ fn a_browser_renders_the_report_in_light_and_dark() {
         );
     };
     let folder = tempfile::tempdir().unwrap();
-    make(folder.path());
-    inspect(&program, &folder.path().join("report.html"));
+    let page = folder.path().join("report.html");
+    std::fs::write(&page, make().1).unwrap();
+    inspect(&program, &page);
 }
 
 fn inspect(program: &Path, page: &Path) {

@@ -1,12 +1,12 @@
 //! Reads a bag into the samples of the batch estimators, refines a rig with them, and checks it.
 
-use crate::replay::{Fed, Feed, FrontEnd, ImageTopic, Roles, TopicNames, decoding_threads};
+use crate::replay::{Cores, Fed, Feed, FrontEnd, ImageTopic, Roles, TopicNames, decoding_threads};
 use anyhow::{Context, Result, anyhow, bail};
 use bag::BagReader;
-use climber_driver::{Climber, ClimberConfig};
+use climber_driver::Climber;
 use marker_tracker::{Input, Output, Tracker, TrackerConfig};
 use rig_calibration::{Estimate, Recording, Report, Samples, Track, examine_stamps, refine_rig};
-use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations, Rig, Sample, topics};
+use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations, Sample, topics};
 use std::path::Path;
 use volant_msgs::{
     Message, geometry_msgs, msg::MarkerObservations as MarkersMessage, sensor_msgs::msg,
@@ -17,26 +17,6 @@ use volant_msgs::{
 const SETTLED: f64 = 3e-5;
 const ROUNDS: usize = 4;
 
-/// Configuration of the cores that a bag is read with, and the names of its topics.
-#[derive(Clone, Debug)]
-pub struct Cores {
-    /// The tracker's.
-    pub tracker: TrackerConfig,
-    /// The climber driver's, for a bag with `climber/joint_states` and without
-    /// `climber/transform`; or why there is none.
-    pub climber: Result<ClimberConfig, String>,
-    /// Names of the topics in the bag.
-    pub names: TopicNames,
-}
-
-impl Cores {
-    /// The defaults with a rig file.
-    pub fn of(rig: &Rig) -> Self {
-        let tracker = TrackerConfig { start_colors: rig.colors, ..TrackerConfig::default() };
-        Self { tracker, climber: Ok(ClimberConfig::default()), names: TopicNames::default() }
-    }
-}
-
 /// Reads camera and markers of a bag; the markers are tracked again if it holds images. What the
 /// bag lost, and why inputs are unusable, is appended to `losses`, also before an error.
 ///
@@ -45,22 +25,15 @@ impl Cores {
 /// unreadable bag.
 pub fn read_markers(
     path: &Path,
-    rig: &Rig,
     cores: &Cores,
     losses: &mut Vec<String>,
 ) -> Result<(CameraModel, Vec<MarkerObservations>)> {
-    let samples = read(path, rig, cores, false, losses)?;
+    let samples = read(path, cores, false, losses)?;
     Ok((samples.camera, samples.markers))
 }
 
 /// Reads a bag; with `motion`, also what IMU and encoders measured. `losses`: see [`read_markers`].
-fn read(
-    path: &Path,
-    rig: &Rig,
-    cores: &Cores,
-    motion: bool,
-    losses: &mut Vec<String>,
-) -> Result<Samples> {
+fn read(path: &Path, cores: &Cores, motion: bool, losses: &mut Vec<String>) -> Result<Samples> {
     let shown = path.display();
     let summary = BagReader::summary(path)?;
     let choose = |alternatives: &[_]| {
@@ -96,7 +69,7 @@ fn read(
         roles.imu = only(topics::IMU, msg::Imu::TYPE_NAME)?;
     }
     let mut feed = Feed::start(path, roles.images.clone(), roles.messages(), decoding_threads())?;
-    let mut front_end = FrontEnd::new(rig, roles, &cores.tracker, driver);
+    let mut front_end = FrontEnd::new(&cores.rig, roles, &cores.tracker, driver);
     let (mut markers, mut imu, mut climber) = (vec![], vec![], vec![]);
     while let Some(fed) = feed.take()? {
         for sample in front_end.handle(fed) {
@@ -163,29 +136,23 @@ pub fn track_bag(
     Ok(markers)
 }
 
-/// Checks a rig's files against a bag; `climber_offset`: see [`rig_calibration::check`], `losses`:
-/// see [`read_markers`].
+/// Checks a rig's files against a bag; `losses`: see [`read_markers`].
 ///
 /// # Errors
 /// As [`read_markers`] and [`rig_calibration::check`].
-pub fn check_bag(
-    bag: &Path,
-    rig: &Rig,
-    cores: &Cores,
-    climber_offset: f64,
-    losses: &mut Vec<String>,
-) -> Result<Report> {
-    let samples = read(bag, rig, cores, true, losses)?;
+pub fn check_bag(bag: &Path, cores: &Cores, losses: &mut Vec<String>) -> Result<Report> {
+    let samples = read(bag, cores, true, losses)?;
     let has_images = ImageTopic::of(&BagReader::summary(bag)?, &cores.names)?.is_some();
     let mut track = |layout: &MarkerLayout, camera: &CameraModel, limit| {
         track_bag(bag, layout, &cores.tracker, camera, limit, &cores.names).unwrap_or_default()
     };
     let track: Option<&mut Track<'_>> = if has_images { Some(&mut track) } else { None };
-    rig_calibration::check(&samples, rig, climber_offset, track)
+    let climber_offset = cores.fusion.tight.clock.climber_offset;
+    rig_calibration::check(&samples, &cores.rig, climber_offset, track)
         .with_context(|| bag.display().to_string())
 }
 
-/// Refines a rig with a bag; `held`: see [`refine_rig`], `losses`: see [`read_markers`].
+/// Refines the cores' rig with a bag; `held`: see [`refine_rig`], `losses`: see [`read_markers`].
 /// The tracker's measurements depend slightly on the marker positions, so the images are tracked
 /// again with the refined positions until these converge. The rig file stays the prior of what the
 /// motion does not determine.
@@ -194,25 +161,24 @@ pub fn check_bag(
 /// As [`read_markers`] and [`refine_rig`]; stamps with which nothing can be estimated.
 pub fn refine_from_bag(
     bag: &Path,
-    rig: &Rig,
     cores: &Cores,
     held: &[&str],
     losses: &mut Vec<String>,
 ) -> Result<Estimate> {
-    let mut seen_with = rig.clone();
+    let mut seen_with = cores.clone();
     let mut round = 1;
     let known = losses.len();
     loop {
         // The same in each round.
         losses.truncate(known);
-        let samples = read(bag, &seen_with, cores, true, losses)?;
+        let samples = read(bag, &seen_with, true, losses)?;
         if let Some(finding) = examine_stamps(&samples).iter().find(|f| f.blocks) {
             bail!("{}: {}; {}", bag.display(), finding.text, finding.remedy);
         }
         let estimate = Recording::new(&samples)
-            .and_then(|recording| refine_rig(&recording, rig, held))
+            .and_then(|recording| refine_rig(&recording, &cores.rig, held))
             .with_context(|| format!("{}", bag.display()))?;
-        let centers = [&estimate.rig, &seen_with].map(|r| &r.markers.centers);
+        let centers = [&estimate.rig, &seen_with.rig].map(|r| &r.markers.centers);
         let moved = MarkerColor::ALL
             .map(|c| (centers[0][c] - centers[1][c]).norm())
             .into_iter()
@@ -220,7 +186,7 @@ pub fn refine_from_bag(
         if moved < SETTLED || round == ROUNDS {
             return Ok(estimate);
         }
-        seen_with.markers = estimate.rig.markers.clone();
+        seen_with.rig.markers = estimate.rig.markers.clone();
         round += 1;
     }
 }

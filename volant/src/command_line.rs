@@ -9,7 +9,9 @@ use node_kit::{
     files::{self, FileError},
     out,
 };
-use std::{ffi::OsString, io::Write, ops::RangeInclusive, path::PathBuf, process::ExitCode};
+use std::{
+    ffi::OsString, io::Write, ops::RangeInclusive, path::PathBuf, process::ExitCode, time::Duration,
+};
 use thiserror::Error;
 
 /// Parses the command line of the process, which from now on reports writes beyond a limit of file
@@ -51,6 +53,17 @@ pub fn number(
     move |text| {
         let number = text.parse().ok().filter(|x| range.contains(x));
         number.ok_or_else(|| format!("must be a number from {} to {}", range.start(), range.end()))
+    }
+}
+
+/// Returns a parser of times within a range, s, for arguments.
+pub fn seconds(
+    range: RangeInclusive<f64>,
+) -> impl Fn(&str) -> Result<Duration, String> + Clone + Send + Sync + 'static {
+    let number = number(range);
+    move |text| {
+        let time = Duration::try_from_secs_f64(number(text)?);
+        time.map_err(|error| error.to_string())
     }
 }
 

@@ -38,8 +38,6 @@ impl Setting {
 /// Result of an update.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Update {
-    /// The file that holds the new values.
-    pub path: PathBuf,
     /// The former file; `None` where no file was replaced.
     pub backup: Option<PathBuf>,
     /// Names of the parameters that changed.
@@ -78,15 +76,15 @@ pub fn update(
             format!("{}: left as it is, for the new values are not usable", shown())
         })?;
     }
-    let (path, backup) = match out {
+    let backup = match out {
         Some(out) => {
             files::write(out, edited.as_bytes(), overwrite)?;
-            (out.to_owned(), None)
+            None
         }
-        None if changed.is_empty() => (file.to_owned(), None),
-        None => (file.to_owned(), Some(replace(file, edited.as_bytes())?)),
+        None if changed.is_empty() => None,
+        None => Some(replace(file, edited.as_bytes())?),
     };
-    Ok(Update { path, backup, changed })
+    Ok(Update { backup, changed })
 }
 
 /// Replaces a file and keeps the former one as `NAME.bak`, or `.bak1` … where that exists; returns

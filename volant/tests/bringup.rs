@@ -5,10 +5,10 @@
 mod place;
 mod simulated;
 
-use bag::{BagWriter, Qos, Topic, WriteOptions};
+use bag::{BagWriter, Qos, WriteOptions};
 use nalgebra::Vector3;
 use node_kit::convert;
-use place::{Place, Ran};
+use place::{Place, Ran, put};
 use rig_model::{MarkerColor, Rig, Stamp};
 use rig_simulator::RIG_YAML;
 use ros_parameters::{ParameterFile, ParameterValue};
@@ -319,14 +319,13 @@ fn the_operator_chooses_the_rigs_camera_where_a_bag_has_two_others() {
     let place = Place::with_rig(RIG_YAML);
     let mut bag = BagWriter::create(&place.path("two.mcap"), WriteOptions::default()).unwrap();
     for name in ["/a_room/image/compressed", "/b_room/image/compressed"] {
-        let topic = bag.add_topic(Topic::of::<CompressedImage>(name, &Qos::SENSOR));
         for stamp in (1..10).map(|i| Stamp::from_nanos(i * 50_000_000)) {
             let image = CompressedImage {
                 header: convert::header("", stamp),
                 ..CompressedImage::default()
             };
             let logged = u64::try_from(stamp.as_nanos()).unwrap();
-            bag.write_message(topic, logged, &image).unwrap();
+            put(&mut bag, name, &Qos::SENSOR, logged, &image);
         }
     }
     bag.finish().unwrap();

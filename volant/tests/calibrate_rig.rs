@@ -5,7 +5,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use rig_calibration::Refinement;
 use rig_model::{MarkerColor, Rig};
 use std::fs;
-use volant::calibration::{Cores, refine_from_bag};
+use volant::{calibration::refine_from_bag, replay::Cores};
 
 use MarkerColor::{Blue, Green, Red, Yellow};
 
@@ -36,8 +36,7 @@ fn a_wrong_rig_file_is_corrected() {
             wrong.markers.centers[color] += Vector3::new(x, y, 0.0);
         }
         let estimate =
-            refine_from_bag(&folder.join("in.mcap"), &wrong, &Cores::of(&wrong), &[], &mut vec![])
-                .unwrap();
+            refine_from_bag(&folder.join("in.mcap"), &Cores::of(&wrong), &[], &mut vec![]).unwrap();
         println!("{bag}: {:?}", estimate.pixel_rms);
         let found = &estimate.rig;
         let deviation = |name: &str| {
@@ -91,8 +90,7 @@ fn an_exact_rig_file_stays_as_it_is() {
         let folder = shared.join("bags").join(bag);
         let exact = Rig::from_yaml(&fs::read_to_string(folder.join("rig.yaml")).unwrap()).unwrap();
         let bag_file = folder.join("in.mcap");
-        let estimate =
-            refine_from_bag(&bag_file, &exact, &Cores::of(&exact), &[], &mut vec![]).unwrap();
+        let estimate = refine_from_bag(&bag_file, &Cores::of(&exact), &[], &mut vec![]).unwrap();
         for row in estimate.rows.iter().take(24) {
             let kept =
                 row.refinement != Refinement::Refined || row.change.abs() < 2.0 * row.deviation;

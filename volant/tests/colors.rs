@@ -3,8 +3,8 @@
 
 mod place;
 
-use bag::{BagWriter, Qos, Topic, WriteOptions};
-use place::{Place, Ran};
+use bag::{BagWriter, Qos, WriteOptions};
+use place::{Place, Ran, put};
 use rig_model::{MarkerColor, Rig, topics};
 use std::{fs, path::Path};
 use volant_msgs::sensor_msgs::msg::CompressedImage;
@@ -68,8 +68,7 @@ fn a_bags_colors_are_those_of_the_rigs_camera() {
     let write = |name: &str, ours_on: &str| {
         let mut bag = BagWriter::create(&place.path(name), WriteOptions::default()).unwrap();
         for (topic, image) in [("/a_room/image/compressed", &others), (ours_on, &ours)] {
-            let topic = bag.add_topic(Topic::of::<CompressedImage>(topic, &Qos::SENSOR));
-            bag.write_message(topic, 1, image).unwrap();
+            put(&mut bag, topic, &Qos::SENSOR, 1, image);
         }
         bag.finish().unwrap();
     };

@@ -4,11 +4,11 @@
 mod place;
 
 use bag::{BagReader, BagWriter, Compression, Qos, Topic, WriteOptions};
-use place::{Place, Ran, copy_bag};
+use place::{Place, Ran, copy_bag, put};
 use rig_model::topics;
 use std::{fs, path::Path, process::Command};
 use volant_msgs::{
-    cdr,
+    Message, cdr,
     geometry_msgs::msg::TransformStamped,
     sensor_msgs::msg::{CameraInfo, CompressedImage, Imu, JointState},
     std_msgs::msg::String as Text,
@@ -34,31 +34,22 @@ fn replay_fails(place: &Place, bag: &str, words: &[&str]) {
 fn bag(path: &Path, without: &str) {
     let options = WriteOptions { compression: Compression::None, ..WriteOptions::default() };
     let mut bag = BagWriter::create(path, options).unwrap();
-    let qos = Qos::RELIABLE;
-    let mut add = |topic: Topic, data: Vec<u8>| {
-        if !topic.name.ends_with(without) || without.is_empty() {
-            let id = bag.add_topic(topic);
-            bag.write(id, 1_000_000_000, 1_000_000_000, &data).unwrap();
-        }
+    let image = CompressedImage {
+        format: "jpeg".into(),
+        data: vec![1, 2, 3],
+        ..CompressedImage::default()
     };
-    add(
-        Topic::of::<CompressedImage>(topics::absolute::COMPRESSED_IMAGE, &qos),
-        cdr::to_bytes(&CompressedImage {
-            format: "jpeg".into(),
-            data: vec![1, 2, 3],
-            ..Default::default()
-        }),
-    );
-    add(
-        Topic::of::<CameraInfo>(topics::absolute::CAMERA_INFO, &qos),
-        cdr::to_bytes(&CameraInfo::default()),
-    );
-    add(Topic::of::<Imu>(topics::absolute::IMU, &qos), cdr::to_bytes(&Imu::default()));
-    add(
-        Topic::of::<TransformStamped>(topics::absolute::CLIMBER_TRANSFORM, &qos),
-        cdr::to_bytes(&TransformStamped::default()),
-    );
+    add(&mut bag, topics::absolute::COMPRESSED_IMAGE, without, &image);
+    add(&mut bag, topics::absolute::CAMERA_INFO, without, &CameraInfo::default());
+    add(&mut bag, topics::absolute::IMU, without, &Imu::default());
+    add(&mut bag, topics::absolute::CLIMBER_TRANSFORM, without, &TransformStamped::default());
     bag.finish().unwrap();
+}
+
+fn add<M: Message>(bag: &mut BagWriter, topic: &str, without: &str, message: &M) {
+    if !topic.ends_with(without) || without.is_empty() {
+        put(bag, topic, &Qos::RELIABLE, 1_000_000_000, message);
+    }
 }
 
 #[test]
@@ -156,11 +147,9 @@ fn bags_that_cannot_be_replayed() {
     );
     // A topic of another type.
     let mut writer = BagWriter::create(&place.path("other.mcap"), WriteOptions::default()).unwrap();
-    let topic = writer.add_topic(Topic::of::<Text>(topics::absolute::IMU, &Qos::RELIABLE));
-    writer.write_message(topic, 1, &Text::default()).unwrap();
-    let topic = writer
-        .add_topic(Topic::of::<CompressedImage>(topics::absolute::COMPRESSED_IMAGE, &Qos::SENSOR));
-    writer.write_message(topic, 1, &CompressedImage::default()).unwrap();
+    put(&mut writer, topics::absolute::IMU, &Qos::RELIABLE, 1, &Text::default());
+    let image = CompressedImage::default();
+    put(&mut writer, topics::absolute::COMPRESSED_IMAGE, &Qos::SENSOR, 1, &image);
     writer.finish().unwrap();
     replay_fails(
         &place,

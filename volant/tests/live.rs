@@ -5,7 +5,7 @@ mod place;
 mod simulated;
 
 use bag::{BagMessage, BagReader, BagWriter, Qos, Topic, WriteOptions, qos_from_yaml};
-use place::live;
+use place::{live, put, start};
 use rig_model::topics;
 use std::{
     path::{Path, PathBuf},
@@ -26,10 +26,8 @@ const START: u64 = 1_760_000_000_000_000_000;
 /// and an unknown type.
 fn bag(path: &Path) {
     let mut bag = BagWriter::create(path, WriteOptions::default()).unwrap();
-    let latched = bag.add_topic(Topic::of::<TFMessage>(topics::absolute::TF_STATIC, &Qos::LATCHED));
-    bag.write_message(latched, START, &TFMessage::default()).unwrap();
-    let imu = bag.add_topic(Topic::of::<Imu>(topics::absolute::IMU, &Qos::RELIABLE));
-    let image = bag.add_topic(Topic::of::<CompressedImage>("/image/compressed", &Qos::RELIABLE));
+    let latched = TFMessage::default();
+    put(&mut bag, topics::absolute::TF_STATIC, &Qos::LATCHED, START, &latched);
     let unknown = bag.add_topic(Topic {
         type_name: "unknown_msgs/msg/Thing".into(),
         definition: String::new(),
@@ -40,23 +38,19 @@ fn bag(path: &Path) {
         let time = START + i * 2_500_000;
         let mut sample = Imu::default();
         sample.linear_acceleration.z = i as f64;
-        bag.write_message(imu, time, &sample).unwrap();
+        put(&mut bag, topics::absolute::IMU, &Qos::RELIABLE, time, &sample);
         if i % 13 == 0 {
             let frame = CompressedImage {
                 data: vec![(i % 251) as u8; 60_000],
                 ..CompressedImage::default()
             };
-            bag.write_message(image, time, &frame).unwrap();
+            put(&mut bag, "/image/compressed", &Qos::RELIABLE, time, &frame);
         }
         if i % 100 == 0 {
             bag.write_message(unknown, time, &Text { data: format!("thing {i}") }).unwrap();
         }
     }
     bag.finish().unwrap();
-}
-
-fn start(domain: u16, arguments: &str) -> Running {
-    Running::start(&mut live(domain, arguments))
 }
 
 /// Waits for the end of a process that must succeed, and returns what it printed.
@@ -275,8 +269,7 @@ fn a_bag_of_one_instant_is_repeated_at_a_bounded_rate() {
     let dir = TempDir::new().unwrap();
     let path = dir.path().join("instant.mcap");
     let mut bag = BagWriter::create(&path, WriteOptions::default()).unwrap();
-    let topic = bag.add_topic(Topic::of::<Text>("/text", &Qos::RELIABLE));
-    bag.write_message(topic, START, &Text::default()).unwrap();
+    put(&mut bag, "/text", &Qos::RELIABLE, START, &Text::default());
     bag.finish().unwrap();
     let player = start(77, &format!("play {} --loop --delay 0", path.display()));
     std::thread::sleep(Duration::from_secs(2));

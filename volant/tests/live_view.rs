@@ -3,12 +3,11 @@
 
 mod place;
 
-use bag::{BagReader, BagWriter, Qos, Topic, WriteOptions};
-use place::{Ran, live};
+use bag::{BagReader, BagWriter, Qos, WriteOptions};
+use place::{Ran, live, put, start};
 use rig_model::topics;
 use std::{path::Path, process::Command, time::Duration};
 use tempfile::TempDir;
-use test_support::process::Running;
 use volant_msgs::{
     builtin_interfaces::msg::Time,
     cdr,
@@ -27,26 +26,20 @@ fn stamp(nanos: u64) -> Time {
 /// Writes three seconds of a rig: raw images, markers, encoders with `rail_x`, odometry at 100 Hz.
 fn bag(path: &Path, rail_x: f64) {
     let mut bag = BagWriter::create(path, WriteOptions::default()).unwrap();
-    let odometry = bag.add_topic(Topic::of::<Odometry>(topics::absolute::ODOMETRY, &Qos::RELIABLE));
-    let image = bag.add_topic(Topic::of::<Image>(topics::absolute::IMAGE, &Qos::SENSOR));
-    let markers =
-        bag.add_topic(Topic::of::<MarkerObservations>(topics::absolute::MARKERS, &Qos::RELIABLE));
-    let joints =
-        bag.add_topic(Topic::of::<JointState>(topics::absolute::JOINT_STATES, &Qos::RELIABLE));
     for i in 0..300u64 {
         let time = START + i * 10_000_000;
         let mut pose = Odometry::default();
         pose.pose.pose.position.z = -1.25;
         pose.pose.pose.orientation.w = 1.0;
         pose.pose.covariance[14] = 1e-6;
-        bag.write_message(odometry, time, &pose).unwrap();
+        put(&mut bag, topics::absolute::ODOMETRY, &Qos::RELIABLE, time, &pose);
         let mut encoders = JointState {
             name: ["rail_x", "rail_y", "turn"].map(str::to_owned).to_vec(),
             position: vec![rail_x, 0.5, 0.1],
             ..JointState::default()
         };
         encoders.header.stamp = stamp(time);
-        bag.write_message(joints, time, &encoders).unwrap();
+        put(&mut bag, topics::absolute::JOINT_STATES, &Qos::RELIABLE, time, &encoders);
         if i % 10 == 0 {
             let frame = Image {
                 width: 64,
@@ -56,7 +49,7 @@ fn bag(path: &Path, rail_x: f64) {
                 data: vec![(i / 10) as u8; 64 * 48 * 3],
                 ..Image::default()
             };
-            bag.write_message(image, time, &frame).unwrap();
+            put(&mut bag, topics::absolute::IMAGE, &Qos::SENSOR, time, &frame);
             let marker = |color, state| MarkerObservation {
                 color,
                 state,
@@ -64,20 +57,12 @@ fn bag(path: &Path, rail_x: f64) {
                 y: 200.0,
                 ..MarkerObservation::default()
             };
-            let seen = (0..4).map(|c| marker(c, if c == 3 { 1 } else { 0 })).collect();
-            bag.write_message(
-                markers,
-                time,
-                &MarkerObservations { markers: seen, ..Default::default() },
-            )
-            .unwrap();
+            let markers = (0..4).map(|c| marker(c, if c == 3 { 1 } else { 0 })).collect();
+            let seen = MarkerObservations { markers, ..MarkerObservations::default() };
+            put(&mut bag, topics::absolute::MARKERS, &Qos::RELIABLE, time, &seen);
         }
     }
     bag.finish().unwrap();
-}
-
-fn start(domain: u16, arguments: &str) -> Running {
-    Running::start(&mut live(domain, arguments))
 }
 
 const RIG: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../launch_config/config/rig.yaml");

@@ -1,28 +1,17 @@
 //! Executables whose standard output is closed or full, and arguments that are not UTF-8.
 #![allow(clippy::unwrap_used)]
 
-use bag::{BagWriter, Qos, Topic, WriteOptions};
-use rig_model::topics::absolute::{GROUND_TRUTH, ODOMETRY};
-use std::{
-    ffi::OsStr,
-    fs::File,
-    os::unix::ffi::OsStrExt,
-    path::Path,
-    process::{Command, Stdio},
-};
-use volant_msgs::nav_msgs::msg::Odometry;
+mod place;
 
-fn volant(arguments: &str) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_volant"));
-    command.args(arguments.split_whitespace()).stderr(Stdio::piped());
-    command
-}
+use bag::{BagWriter, Qos, WriteOptions};
+use place::{Place, put};
+use rig_model::topics::absolute::{GROUND_TRUTH, ODOMETRY};
+use std::{ffi::OsStr, fs::File, os::unix::ffi::OsStrExt, path::Path, process::Stdio};
+use volant_msgs::nav_msgs::msg::Odometry;
 
 /// Writes three seconds of an odometry and the truth that it equals.
 fn write_run(path: &Path) {
     let mut bag = BagWriter::create(path, WriteOptions::default()).unwrap();
-    let topics = [ODOMETRY, GROUND_TRUTH]
-        .map(|name| bag.add_topic(Topic::of::<Odometry>(name, &Qos::RELIABLE)));
     for k in 0..300_u32 {
         let mut message = Odometry::default();
         (message.header.stamp.sec, message.header.stamp.nanosec) =
@@ -31,8 +20,9 @@ fn write_run(path: &Path) {
         for i in 0..6 {
             message.pose.covariance[7 * i] = 1e-6;
         }
-        for topic in topics {
-            bag.write_message(topic, 1_000_000_000 + u64::from(k) * 10_000_000, &message).unwrap();
+        for topic in [ODOMETRY, GROUND_TRUTH] {
+            let at = 1_000_000_000 + u64::from(k) * 10_000_000;
+            put(&mut bag, topic, &Qos::RELIABLE, at, &message);
         }
     }
     bag.finish().unwrap();
@@ -40,8 +30,8 @@ fn write_run(path: &Path) {
 
 #[test]
 fn standard_output_that_is_closed_or_full_ends_a_command_without_a_panic() {
-    let folder = tempfile::tempdir().unwrap();
-    write_run(&folder.path().join("run.mcap"));
+    let place = Place::new();
+    write_run(&place.path("run.mcap"));
     for arguments in [
         "bag info run.mcap",
         "--help",
@@ -51,9 +41,7 @@ fn standard_output_that_is_closed_or_full_ends_a_command_without_a_panic() {
         "evaluate run.mcap --truth run.mcap --csv run.csv --overwrite",
         "up --help",
     ] {
-        let to = |output: Stdio| {
-            volant(arguments).current_dir(folder.path()).stdout(output).output().unwrap()
-        };
+        let to = |output: Stdio| place.command(arguments).stdout(output).output().unwrap();
         let (reader, writer) = std::io::pipe().unwrap();
         drop(reader);
         let closed = to(writer.into());
@@ -65,12 +53,13 @@ fn standard_output_that_is_closed_or_full_ends_a_command_without_a_panic() {
         assert!(message.contains("standard output"), "{arguments}: {message}");
         assert_eq!(message.lines().count(), 1, "{arguments}: {message}");
     }
-    let csv = folder.path().join("run.csv");
-    assert!(csv.is_file(), "the files are written although the table could not be printed");
+    let written = place.path("run.csv").is_file();
+    assert!(written, "the files are written although the table could not be printed");
 }
 
 #[test]
 fn an_argument_that_is_not_utf_8_is_a_wrong_command_line() {
+    let place = Place::new();
     for arguments in [
         "",
         "evaluate x --truth x --skip",
@@ -79,7 +68,8 @@ fn an_argument_that_is_not_utf_8_is_a_wrong_command_line() {
         "up",
         "record --out x",
     ] {
-        let output = volant(arguments).arg(OsStr::from_bytes(b"\xff\xfe")).output().unwrap();
+        let mut command = place.command(arguments);
+        let output = command.arg(OsStr::from_bytes(b"\xff\xfe")).output().unwrap();
         assert_eq!(output.status.code(), Some(2), "{arguments}: {output:?}");
         assert!(!output.stderr.is_empty() && output.stdout.is_empty(), "{arguments}: {output:?}");
     }

@@ -24,9 +24,9 @@ fn process(climber: &mut Climber, reading: &JointReading) -> Vec<Output> {
     std::iter::from_fn(|| climber.poll()).collect()
 }
 
-fn rejection(climber: &mut Climber, reading: &JointReading) -> Rejection {
+fn rejection(climber: &mut Climber, reading: &JointReading) -> Warning {
     match process(climber, reading).as_slice() {
-        [Output::Warning(Warning::Rejected(rejection))] => rejection.clone(),
+        [Output::Warning(rejection @ Warning::Rejected { .. })] => rejection.clone(),
         other => panic!("{other:?}"),
     }
 }

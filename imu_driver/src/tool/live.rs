@@ -97,9 +97,6 @@ fn now() -> Stamp {
     Stamp::from_nanos(i64::try_from(since.as_nanos()).unwrap_or(i64::MAX))
 }
 
-/// Flag of a conversation that no signal ends.
-static NEVER: AtomicBool = AtomicBool::new(false);
-
 /// Runs a driver for at most `seconds`, until `stop` is set or `handle` returns false; returns
 /// whether it did.
 #[allow(clippy::disallowed_methods, reason = "communication with a device runs in real time")]
@@ -131,36 +128,51 @@ fn read_only() -> DriverConfig {
     DriverConfig { leave_settings: true, ..DriverConfig::default() }
 }
 
+/// Calls `handle` with the driver's events until it returns false, at most for the line's time;
+/// returns whether it did.
+///
+/// # Errors
+/// As [`converse`]; a line too slow for the settings, because no later attempt has another result.
+fn events(
+    line: &Line,
+    config: DriverConfig,
+    mut handle: impl FnMut(&Event) -> bool,
+) -> Result<bool, Failure> {
+    let mut too_slow = None;
+    let no_signal = AtomicBool::new(false);
+    let ended = converse(line, config, line.timeout, false, &no_signal, |report| match report {
+        Report::Event(event @ Event::LineTooSlow(_)) => {
+            too_slow = Some(event.to_string());
+            false
+        }
+        Report::Event(event) => handle(event),
+        _ => true,
+    })?;
+    match too_slow {
+        Some(reason) => Err(format!("{}: {reason}", line.port).into()),
+        None => Ok(ended),
+    }
+}
+
 /// Waits until a device measures and returns its identity; `verbose` prints events.
 fn identify(line: &Line, config: DriverConfig, verbose: bool) -> Result<Identity, Failure> {
     let mut found = None;
     let mut problem = None;
-    let mut too_slow = None;
-    let done = converse(line, config, line.timeout, false, &NEVER, |report| {
-        if let Report::Event(event) = report {
-            if matches!(event, Event::LineTooSlow(_)) {
-                // No later attempt will have another result.
-                too_slow = Some(event.to_string());
+    let done = events(line, config, |event| {
+        if verbose && (event.severity() > Severity::Info || matches!(event, Event::Set(_))) {
+            errln!("{event}");
+        }
+        match event {
+            Event::Measuring(identity) => {
+                found = Some(identity.clone());
                 return false;
             }
-            if verbose && (event.severity() > Severity::Info || matches!(event, Event::Set(_))) {
-                errln!("{event}");
-            }
-            match event {
-                Event::Measuring(identity) => {
-                    found = Some(identity.clone());
-                    return false;
-                }
-                Event::Found(identity) => found = Some(identity.clone()),
-                _ if event.severity() > Severity::Info => problem = Some(event.to_string()),
-                _ => {}
-            }
+            Event::Found(identity) => found = Some(identity.clone()),
+            _ if event.severity() > Severity::Info => problem = Some(event.to_string()),
+            _ => {}
         }
         true
     })?;
-    if let Some(reason) = too_slow {
-        return Err(format!("{}: {reason}", line.port).into());
-    }
     match (done, found) {
         (true, Some(identity)) => Ok(identity),
         (_, Some(identity)) if !verbose => Ok(identity),
@@ -265,31 +277,23 @@ pub(super) fn configure(arguments: &Configure) -> Result<(), Failure> {
 fn set_baud(line: &Line, baud: u32, config: &DriverConfig) -> Result<(), Failure> {
     let code = baud_code(baud).ok_or_else(|| format!("{baud} baud is not supported by the IMU"))?;
     let config = DriverConfig { set_baud: Some(code), ..config.clone() };
-    let (mut set, mut too_slow) = (false, None);
-    converse(line, config, line.timeout, false, &NEVER, |report| {
-        if let Report::Event(event) = report {
-            if matches!(event, Event::LineTooSlow(_)) {
-                too_slow = Some(event.to_string());
-                return false;
-            }
-            errln!("{event}");
-            set |= *event == Event::Set(MessageId::BAUD_RATE);
-            if set {
-                // Keeps the port open until the device has received the Reset.
-                std::thread::sleep(Duration::from_millis(100));
-            }
-            return !set;
+    let mut set = false;
+    events(line, config, |event| {
+        errln!("{event}");
+        set |= *event == Event::Set(MessageId::BAUD_RATE);
+        if set {
+            // Keeps the port open until the device has received the Reset.
+            std::thread::sleep(Duration::from_millis(100));
         }
-        true
+        !set
     })?;
-    let port = &line.port;
-    match too_slow {
-        _ if set => Ok(()),
-        Some(reason) => Err(format!("{port}: {reason}").into()),
-        None => {
-            Err(format!("the IMU at {port} rejected {baud} baud; see the messages above").into())
-        }
+    if !set {
+        let port = &line.port;
+        return Err(
+            format!("the IMU at {port} rejected {baud} baud; see the messages above").into()
+        );
     }
+    Ok(())
 }
 
 pub(super) fn log(arguments: &Log) -> Result<(), Failure> {

@@ -10,12 +10,11 @@ use node_kit::{
 };
 use rig_model::{Stamp, topics};
 use std::{
-    io::Read,
     path::PathBuf,
-    process::{Child, Command, Stdio},
     sync::{Arc, Mutex, MutexGuard, PoisonError},
     time::Duration,
 };
+use test_support::process::{Running, in_domain};
 use volant_msgs::{
     Message,
     diagnostic_msgs::msg::DiagnosticArray,
@@ -100,8 +99,8 @@ fn motion(at: Stamp) -> SimulatedSample {
 
 /// Simulated IMU, node and subscriber; all end on drop.
 pub struct Harness {
+    pub node: Running,
     pub imu: PtyImu,
-    pub node: Child,
     _subscriber: Process,
     folder: PathBuf,
     _turn: MutexGuard<'static, ()>,
@@ -119,15 +118,14 @@ impl Harness {
         let network = Network { domain_id: domain, ..Network::default() };
         let mut subscriber = Process::new(network).unwrap();
         subscriber.start::<Subscriber>(&RosArguments::default()).unwrap();
-        let node = Command::new(env!("CARGO_BIN_EXE_imu_driver"))
-            .args(["--ros-args", "--params-file", RIG])
-            .args(["-p", &format!("port:={}", port.display())])
-            .args(arguments)
-            .env("ROS_DOMAIN_ID", domain.to_string())
-            .stderr(Stdio::piped())
-            .spawn()
-            .unwrap();
-        Self { imu, node, _subscriber: subscriber, folder, _turn: turn }
+        let node = Running::start(
+            in_domain(domain, env!("CARGO_BIN_EXE_imu_driver"))
+                .env_remove("ROS_AUTOMATIC_DISCOVERY_RANGE")
+                .args(["--ros-args", "--params-file", RIG])
+                .args(["-p", &format!("port:={}", port.display())])
+                .args(arguments),
+        );
+        Self { node, imu, _subscriber: subscriber, folder, _turn: turn }
     }
 
     /// Waits until `samples` were received, for at most `seconds`; returns whether they were.
@@ -150,13 +148,6 @@ impl Harness {
 
 impl Drop for Harness {
     fn drop(&mut self) {
-        let _ = self.node.kill();
-        let _ = self.node.wait();
-        let mut log = String::new();
-        if let Some(stderr) = &mut self.node.stderr {
-            let _ = stderr.read_to_string(&mut log);
-        }
-        println!("{log}");
         let _ = std::fs::remove_dir_all(&self.folder);
     }
 }

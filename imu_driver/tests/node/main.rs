@@ -199,7 +199,7 @@ fn ten_minutes_at_400_hz_lose_nothing_at_constant_memory() {
     let mut last: Option<Stamp> = None;
     while now().seconds_since(start) < seconds {
         std::thread::sleep(Duration::from_secs(1));
-        memory.push(test_support::process::memory(harness.node.id()).unwrap());
+        memory.push(harness.node.memory());
         sent += harness.imu.take_sent().len();
         let messages = received(|r| std::mem::take(&mut r.imu));
         count += messages.len();

@@ -37,19 +37,9 @@ pub(crate) struct Interior {
     pub light: f64,
 }
 
-/// Sums of a plane's normal equations, about a center and a reference level.
-struct Sums {
-    n: f64,
-    x: f64,
-    y: f64,
-    xx: f64,
-    xy: f64,
-    yy: f64,
-    s: f64,
-    xs: f64,
-    ys: f64,
-    ss: f64,
-}
+/// Number of pixels and sums of a plane's normal equations, about a center and a reference level s:
+/// n, x, y, xx, xy, yy, s, xs, ys, ss.
+type Sums = [f64; 10];
 
 /// One line of the interior: its first pixel, and number and distance (px) of the pixels.
 #[derive(Clone, Copy, Default)]
@@ -110,12 +100,12 @@ impl Interior {
         let &Line { x, y, .. } = lines.get(lines.len() / 2)?;
         let mut offset = sampler.at(x, y)?;
         let (mut sums, [low, high], light) = gated(sampler, lines, middle, offset, f32::INFINITY);
-        let all = sums.n;
+        let [all, .., s, _, _, ss] = sums;
         if all < 8.0 {
             return None;
         }
-        let mean = sums.s / all;
-        let spread = (sums.ss / all - mean * mean).max(0.0).sqrt();
+        let mean = s / all;
+        let spread = (ss / all - mean * mean).max(0.0).sqrt();
         let gate = (4.5 * spread).clamp(GATE.0, GATE.1);
         if high - mean > gate || mean - low > gate {
             // Something crosses it.
@@ -124,10 +114,10 @@ impl Interior {
             offset = median as f32;
             (sums, ..) = gated(sampler, lines, middle, offset, gate);
         }
-        if sums.n < 8.0 {
+        let [n, x, y, xx, xy, yy, s, xs, ys, ss] = sums;
+        if n < 8.0 {
             return None;
         }
-        let n = sums.n;
         // A weak prior of a flat level keeps small squares stable; the previous gradient is a
         // strong one.
         let (pull, target) = match before {
@@ -135,24 +125,14 @@ impl Interior {
             None => (0.0, Vector2::zeros()),
         };
         let weak = if before.is_some() { 0.0 } else { 10.0 * n.min(20.0) };
-        let spread = (sums.xx - sums.x * sums.x / n, sums.yy - sums.y * sums.y / n);
+        let spread = (xx - x * x / n, yy - y * y / n);
         let extra = (weak + pull * spread.0, weak + pull * spread.1);
-        let normal = Matrix3::new(
-            n,
-            sums.x,
-            sums.y,
-            sums.x,
-            sums.xx + extra.0,
-            sums.xy,
-            sums.y,
-            sums.xy,
-            sums.yy + extra.1,
-        );
-        let plain = Vector3::new(sums.s, sums.xs, sums.ys);
+        let normal = Matrix3::new(n, x, y, x, xx + extra.0, xy, y, xy, yy + extra.1);
+        let plain = Vector3::new(s, xs, ys);
         let right = plain + Vector3::new(0.0, extra.0 * target.x, extra.1 * target.y);
         let solution = normal.cholesky()?.solve(&right);
         // Σ (s − plane)² without the priors.
-        let square = sums.ss - 2.0 * solution.dot(&plain) + solution.dot(&(normal * solution))
+        let square = ss - 2.0 * solution.dot(&plain) + solution.dot(&(normal * solution))
             - extra.0 * solution.y * solution.y
             - extra.1 * solution.z * solution.z;
         let variance = (square / (n - 3.0)).max(1e-8);
@@ -220,7 +200,7 @@ fn gated(
     let [s, xs, ys, ss] = [s, xs, ys, ss].map(|v| f64::from(v.reduce_add()));
     let low = low.to_array().iter().fold(f32::INFINITY, |m, v| m.min(*v));
     let high = high.to_array().iter().fold(f32::NEG_INFINITY, |m, v| m.max(*v));
-    let sums = Sums { n, x, y, xx, xy, yy, s, xs, ys, ss };
+    let sums = [n, x, y, xx, xy, yy, s, xs, ys, ss];
     (sums, [low, high].map(f64::from), f64::from(light.reduce_add()))
 }
 

@@ -6,7 +6,7 @@ use crate::{
         line::{EdgeFit, Places},
         outside::{MIN_CONTRAST, Outside},
         prior::{Light, ShapePrior},
-        row_plan::{Band, RowPlan, Side},
+        row_plan::{RowPlan, Side},
         rows::{Column, MAX_ROWS, Rows, eight, present},
     },
     signal::Sampler,
@@ -54,16 +54,16 @@ pub(crate) fn fit_edge(
     prior: &ShapePrior,
     scratch: &mut Rows,
 ) -> Option<EdgeFit> {
-    let mut band = Band { half_width, beyond: f64::INFINITY };
+    let (mut half_width, mut beyond) = (half_width, f64::INFINITY);
     loop {
-        let attempt = attempt(sampler, interior, side, band, prior, scratch)?;
+        let attempt = attempt(sampler, interior, side, [half_width, beyond], prior, scratch)?;
         if attempt.step < STEP {
             return attempt.edge;
         }
-        if band.half_width <= NARROWEST {
+        if half_width <= NARROWEST {
             return attempt.edge.filter(|_| attempt.step < LARGEST_STEP);
         }
-        band = Band { half_width: (band.half_width * NARROWER).max(NARROWEST), beyond: 1.0 };
+        (half_width, beyond) = ((half_width * NARROWER).max(NARROWEST), 1.0);
     }
 }
 
@@ -75,16 +75,17 @@ struct Attempt {
     step: f64,
 }
 
-/// Measures an edge with one band.
+/// Measures an edge with one band; its half-width and the width beyond it are as in
+/// [`RowPlan::new`].
 fn attempt(
     sampler: &Sampler<'_>,
     interior: &Interior,
     side: &Side,
-    band: Band,
+    [half_width, beyond]: [f64; 2],
     prior: &ShapePrior,
     rows: &mut Rows,
 ) -> Option<Attempt> {
-    let plan = RowPlan::new(sampler, side, band, prior.tolerance.rows)?;
+    let plan = RowPlan::new(sampler, side, half_width, beyond, prior.tolerance.rows)?;
     if let Light::ByRow { brightness } = prior.light {
         rows.read_plan(sampler, &plan, false);
         rows.relight(sampler, &plan, brightness);
@@ -106,9 +107,9 @@ fn attempt(
     // The outside level's error moves the whole edge, by the outer share of the band; that of its
     // tilt turns the edge.
     let contrast = (interior.level - outside.level).max(MIN_CONTRAST);
-    let outer = 0.5 * f64::from(plan.strip.band) * plan.steep;
-    let by_level = (outer * interior.sigma / contrast * prior.correlation).powi(2)
-        / f64::from(plan.strip.beyond);
+    let outer = 0.5 * f64::from(plan.band) * plan.steep;
+    let by_level =
+        (outer * interior.sigma / contrast * prior.correlation).powi(2) / f64::from(plan.beyond);
     edge.covariance[(0, 0)] += by_level / outside.rows;
     edge.covariance[(1, 1)] += by_level * outside.tilt_variance;
     edge.covariance[(0, 0)] += (plan.half_width * (step - TAIL).max(0.0)).powi(2);

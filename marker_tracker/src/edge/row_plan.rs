@@ -55,18 +55,10 @@ impl Side {
     }
 }
 
-/// How far an edge is read on either side.
+/// The rows that cross one edge.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Band {
-    /// Half-width across the edge that is integrated, px.
-    pub half_width: f64,
-    /// Width beyond it in which the level outside is measured, px, at most.
-    pub beyond: f64,
-}
-
-/// How the strip across an edge lies in the image.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Strip {
+pub(super) struct RowPlan {
+    pub side: Side,
     /// Pixels across the edge that are integrated.
     pub band: i32,
     /// Pixels beyond the band.
@@ -75,13 +67,6 @@ pub(super) struct Strip {
     pub hop: u32,
     /// Whether the outside comes last.
     pub outward: bool,
-}
-
-/// The rows that cross one edge.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct RowPlan {
-    pub side: Side,
-    pub strip: Strip,
     /// Axis along which the edge is crossed: 0, along x on rows; 1, along y on columns.
     pub axis: usize,
     /// Cosine of the angle between that axis and the edge's normal.
@@ -108,8 +93,16 @@ pub(super) struct Crossing {
 }
 
 impl RowPlan {
-    /// Plans at most `rows` rows; `None` where the side is too short or the band too long.
-    pub fn new(sampler: &Sampler<'_>, side: &Side, band: Band, rows: usize) -> Option<Self> {
+    /// Plans at most `rows` rows that integrate `half_width` px on either side of the edge and
+    /// measure the level outside in at most `beyond` px beyond that; `None` where the side is too
+    /// short or the band too long.
+    pub fn new(
+        sampler: &Sampler<'_>,
+        side: &Side,
+        half_width: f64,
+        beyond: f64,
+        rows: usize,
+    ) -> Option<Self> {
         let Side { middle, tangent, normal, length, .. } = *side;
         if length.is_nan() || length < 4.0 {
             return None;
@@ -117,7 +110,7 @@ impl RowPlan {
         let k = usize::from(normal.x.abs() < normal.y.abs());
         let (steep, sign) = (normal[k].abs(), normal[k].signum());
         let width = side.distance * 2.0;
-        let half_width = band.half_width.min(MAX_SHARE * width).max(1.0);
+        let half_width = half_width.min(MAX_SHARE * width).max(1.0);
         let half = half_width / steep;
         let per_row = 1.0 / tangent[1 - k];
         // Walking inward shifts the place along the edge; it must not run over the neighboring
@@ -137,8 +130,7 @@ impl RowPlan {
         }
         let possible = usable.min(rows.clamp(8, MAX_ROWS) as i32);
         let (least, most) = OUTSIDE_BOUNDS;
-        let beyond = band
-            .beyond
+        let beyond = beyond
             .min((OUTSIDE * width).clamp(least, most))
             .min(REACH * width - half_width)
             .max(1.0);
@@ -150,7 +142,10 @@ impl RowPlan {
         }
         Some(Self {
             side: *side,
-            strip: Strip { band, beyond, hop: sampler.hop(k), outward: sign > 0.0 },
+            band,
+            beyond,
+            hop: sampler.hop(k),
+            outward: sign > 0.0,
             axis: k,
             steep,
             half_width,
@@ -177,17 +172,17 @@ impl RowPlan {
     /// First pixel of the band on a row.
     #[inline(always)]
     pub fn band_start(&self, crossing: &Crossing) -> i32 {
-        nearest(crossing.place - f64::from(self.strip.band - 1) / 2.0)
+        nearest(crossing.place - f64::from(self.band - 1) / 2.0)
     }
 
     /// Pixels before the band.
     pub fn lead(&self) -> i32 {
-        if self.strip.outward { 0 } else { self.strip.beyond }
+        if self.outward { 0 } else { self.beyond }
     }
 
     /// First and last pixel that are read on a row whose band begins at `from`.
     pub fn ends(&self, from: i32) -> [i32; 2] {
-        let Strip { band, beyond, outward, .. } = self.strip;
+        let Self { band, beyond, outward, .. } = *self;
         if outward {
             [from - INNER as i32, from + band + beyond - 1]
         } else {

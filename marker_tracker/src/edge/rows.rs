@@ -1,7 +1,7 @@
 //! What is read along the rows that cross an edge, in columns of one quantity of all rows.
 
 use crate::{
-    edge::row_plan::{Crossing, INNER, MAX_BAND, RowPlan, Strip},
+    edge::row_plan::{Crossing, INNER, MAX_BAND, RowPlan},
     signal::{Sampler, nearest},
 };
 use wide::f32x8;
@@ -84,26 +84,25 @@ impl Rows {
         let place = (crossing.place - f64::from(from)) as f32;
         self.along[n] = (crossing.off * plan.per_row) as f32;
         self.crossing[n] = place;
-        self.inner[n] = if plan.strip.outward { place + 0.5 } else { band as f32 - place - 0.5 };
+        self.inner[n] = if plan.outward { place + 0.5 } else { band as f32 - place - 0.5 };
     }
 
     /// Reads the rows of a plan; with `partly`, rows whose strip leaves the image as far as they
     /// are in it.
     pub(super) fn read_plan(&mut self, sampler: &Sampler<'_>, plan: &RowPlan, partly: bool) {
-        let strip = plan.strip;
         let (columns, lines) = plan.pixel(sampler.width, sampler.height);
         // The other columns are overwritten row by row; what remains in the lanes after the last
         // row is masked.
         self.count = 0;
         let groups = (plan.possible as usize).next_multiple_of(8);
-        self.pixels[..groups].fill(strip.band as f32);
+        self.pixels[..groups].fill(plan.band as f32);
         self.room[..groups].fill(f32::INFINITY);
         let mut cut = false;
         for line in (0..plan.possible).map(|i| plan.line(i)) {
             let crossing = plan.crossing(line);
             let from = plan.band_start(&crossing);
             let start = from - plan.lead();
-            let is_on_line = start >= 0 && start + strip.band + strip.beyond <= columns;
+            let is_on_line = start >= 0 && start + plan.band + plan.beyond <= columns;
             if !is_on_line || !(0..lines).contains(&line) {
                 cut = true;
                 continue;
@@ -113,10 +112,10 @@ impl Rows {
             sampler.read(first.into(), last.into());
             let n = self.count;
             self.begin[n] = sampler.begin(x, y);
-            self.place(n, plan, &crossing, from, strip.band);
+            self.place(n, plan, &crossing, from, plan.band);
             self.count = n + 1;
         }
-        self.read(sampler, &strip);
+        self.read(sampler, plan);
         if cut && partly {
             for i in 0..plan.possible {
                 self.add_cut(sampler, plan, plan.line(i));
@@ -137,7 +136,7 @@ impl Rows {
         /// Smallest contrast of a row, in units of the adapted one: a shadow may leave 0.15 of the
         /// light.
         const MIN_CONTRAST: f32 = 0.1;
-        let Strip { band, beyond, hop, outward } = plan.strip;
+        let RowPlan { band, beyond, hop, outward, .. } = *plan;
         let brightness = sampler.brightness();
         let (inner_first, band_first, outer_first) = if outward {
             (0u32.wrapping_sub(INNER * hop), 0, band as u32 * hop)
@@ -188,8 +187,8 @@ impl Rows {
 
     /// Reads all rows, eight side by side.
     #[inline(always)]
-    fn read(&mut self, sampler: &Sampler<'_>, strip: &Strip) {
-        let Strip { band, beyond, hop, outward } = *strip;
+    fn read(&mut self, sampler: &Sampler<'_>, plan: &RowPlan) {
+        let RowPlan { band, beyond, hop, outward, .. } = *plan;
         let (before, after) = if outward { (0, beyond) } else { (beyond, 0) };
         let rim_at = if outward { band - 1 } else { 0 };
         let (scale, share) = (sampler.scale, sampler.scale / beyond as f32);
@@ -248,31 +247,31 @@ impl Rows {
     /// Reads a row whose strip leaves the image, as far as it is in it.
     #[cold]
     fn add_cut(&mut self, sampler: &Sampler<'_>, plan: &RowPlan, line: i32) {
-        let (strip, half) = (plan.strip, plan.half_width / plan.steep);
+        let half = plan.half_width / plan.steep;
         let (columns, lines) = plan.pixel(sampler.width, sampler.height);
         let end = columns - 1;
         let crossing = plan.crossing(line);
         let start = plan.band_start(&crossing) - plan.lead();
-        if start >= 0 && start + strip.band + strip.beyond <= columns {
+        if start >= 0 && start + plan.band + plan.beyond <= columns {
             return;
         }
         let (mut from, mut to) = (nearest(crossing.place - half), nearest(crossing.place + half));
         let mut room = f64::INFINITY;
-        let beyond = if strip.outward {
+        let beyond = if plan.outward {
             if to > end - 1 {
                 to = end - 1;
                 room = f64::from(to) - crossing.place;
             }
-            strip.beyond.min(end - to)
+            plan.beyond.min(end - to)
         } else {
             if from < 1 {
                 from = 1;
                 room = crossing.place - f64::from(from);
             }
-            strip.beyond.min(from)
+            plan.beyond.min(from)
         };
         let band = to - from + 1;
-        let (first, last) = if strip.outward { (from, to + beyond) } else { (from - beyond, to) };
+        let (first, last) = if plan.outward { (from, to + beyond) } else { (from - beyond, to) };
         if !(2..=MAX_BAND).contains(&band)
             || room < half.min(1.0)
             || beyond < 1
@@ -286,7 +285,7 @@ impl Rows {
         let [(x, y), last] = [first, last].map(|along| plan.pixel(along, line));
         sampler.read([x, y], last.into());
         let begin = sampler.begin(x, y);
-        let at = |along: i32| begin + (along - first) as u32 * strip.hop;
+        let at = |along: i32| begin + (along - first) as u32 * plan.hop;
         let (mut s, mut sj, mut ss, mut light) = (0f32, 0f32, 0f32, 0f32);
         for (j, pixel) in (from..=to).map(at).enumerate() {
             let value = sampler.one(pixel);
@@ -296,7 +295,7 @@ impl Rows {
             light += sampler.light(pixel);
         }
         let (mut outside, mut light_outside) = (0f32, 0f32);
-        let outer = if strip.outward { to + 1 } else { first };
+        let outer = if plan.outward { to + 1 } else { first };
         for pixel in (outer..outer + beyond).map(at) {
             outside += sampler.one(pixel);
             light_outside += sampler.light(pixel);

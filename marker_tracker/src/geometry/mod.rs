@@ -3,7 +3,7 @@
 
 mod refine;
 
-pub(crate) use refine::{Geometry, PoseEstimate, PoseObservation, PosePrior, moved};
+pub(crate) use refine::{Geometry, PoseEstimate, PoseObservation, PosePrior};
 
 use crate::quad::Quad;
 use nalgebra::{Isometry3, Matrix2, Point3};

@@ -6,10 +6,9 @@
 
 use crate::{geometry::corners_of, quad::Quad};
 use nalgebra::{
-    Isometry3, Matrix2, Matrix2x3, Matrix2x6, Matrix6, Point3, Translation3, UnitQuaternion,
-    Vector2, Vector3, Vector6,
+    Isometry3, Matrix2, Matrix2x3, Matrix2x6, Matrix6, Point3, Vector2, Vector3, Vector6,
 };
-use rig_model::{CameraModel, MarkerColor, MarkerLayout};
+use rig_model::{CameraModel, MarkerColor, MarkerLayout, planar_pose::moved};
 
 /// A marker that a pose has to explain.
 #[derive(Clone, Copy, Debug)]
@@ -95,11 +94,7 @@ impl Geometry<'_> {
             if gain < 1e-4 * now.cost.min(1.0) {
                 break;
             }
-            let candidate = moved(
-                &pose,
-                &step.fixed_rows::<3>(0).into_owned(),
-                &step.fixed_rows::<3>(3).into_owned(),
-            );
+            let candidate = moved(&pose, &step);
             // A step this short ends at the minimum of its quadratic; another would gain nothing.
             let last = gain < 1e-2;
             match self.evaluate(observations, &candidate, prior) {
@@ -205,18 +200,6 @@ fn by_pose(by_point: &Matrix2x3<f64>, arm: &Vector3<f64>) -> Matrix2x6<f64> {
     j.fixed_columns_mut::<3>(0).copy_from(by_point);
     j.fixed_columns_mut::<3>(3).copy_from(&(by_point * (-arm.cross_matrix())));
     j
-}
-
-/// Moves a pose by a translation (m) and a rotation vector (rad) along the camera's axes.
-pub(crate) fn moved(
-    pose: &Isometry3<f64>,
-    translation: &Vector3<f64>,
-    rotation: &Vector3<f64>,
-) -> Isometry3<f64> {
-    Isometry3::from_parts(
-        Translation3::from(pose.translation.vector + translation),
-        UnitQuaternion::from_scaled_axis(*rotation) * pose.rotation,
-    )
 }
 
 /// Weighted cost, its normal equations, and the sum of the centroids' squared residuals (px²).

@@ -51,10 +51,8 @@ pub(super) fn assess(
 /// Explains from the images why no marker was detected for a second.
 fn why_none(stages: &Stages, camera: Option<&CameraModel>) -> String {
     let (width, height) = stages.size;
-    let other_size = camera.map(CameraModel::size).filter(|size| {
-        (usize::try_from(size.0), usize::try_from(size.1)) != (Ok(width), Ok(height))
-    });
-    if let Some((w, h)) = other_size {
+    let is_other = |&(w, h): &(u32, u32)| (w as usize, h as usize) != (width, height);
+    if let Some((w, h)) = camera.map(CameraModel::size).filter(is_other) {
         return format!(
             "no marker in view: the images are {width}x{height}, camera_info is for {w}x{h}"
         );

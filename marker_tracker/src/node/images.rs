@@ -111,13 +111,10 @@ impl MarkerTrackerNode {
         while let Some(output) = self.tracker.poll() {
             match output {
                 Output::Observations(observations) => {
-                    self.markers.publish(convert::markers_message(&self.frame, &observations));
-                    let detected = observations
-                        .markers
-                        .0
-                        .iter()
-                        .filter(|m| m.state == MarkerState::Detected)
-                        .count();
+                    let frame = &self.rig.frames.camera;
+                    self.markers.publish(convert::markers_message(frame, &observations));
+                    let markers = observations.markers.0.iter();
+                    let detected = markers.filter(|m| m.state == MarkerState::Detected).count();
                     self.stages.detected[detected] += 1;
                 }
                 Output::Warning(warning) => {
@@ -142,7 +139,7 @@ impl MarkerTrackerNode {
         self.stages.draw.end(clock);
         match jpeg {
             Ok(data) => self.debug.publish(CompressedImage {
-                header: convert::header(&self.frame, view.stamp),
+                header: convert::header(&self.rig.frames.camera, view.stamp),
                 format: "rgb8; jpeg compressed rgb8".to_owned(),
                 data,
             }),

@@ -64,7 +64,6 @@ struct Republished {
 pub struct MarkerTrackerNode {
     tracker: Tracker,
     rig: Rig,
-    frame: String,
     markers: Publisher<MarkerObservations>,
     converted: OwnedImage,
     decoder: Decoder,
@@ -127,7 +126,6 @@ impl NodeShell for MarkerTrackerNode {
         let debug = context.advertise(topics::MARKERS_DEBUG_IMAGE, QosPreset::Image)?;
         let mut node = Self {
             tracker,
-            frame: rig.frames.camera.clone(),
             rig,
             markers,
             converted: OwnedImage::default(),

@@ -40,10 +40,11 @@ impl MarkerTrackerNode {
             }
         }
         out.sequence = Some(frame.sequence);
+        let frame_id = &self.rig.frames.camera;
         if let Some(camera) = &self.camera {
-            out.info.publish(convert::camera_message(&self.frame, frame.stamp, camera));
+            out.info.publish(convert::camera_message(frame_id, frame.stamp, camera));
         }
-        let header = convert::header(&self.frame, frame.stamp);
+        let header = convert::header(frame_id, frame.stamp);
         if let Some(encoding) = frame.encoding {
             let message = Arc::new(Image {
                 header,

@@ -16,8 +16,8 @@ pub(crate) struct ScanConfig {
     pub stride: usize,
     /// Distance along a row of the places that are tested for color first, px.
     pub grid: usize,
-    /// Least saturation, 0 to 1.
-    pub min_saturation: f32,
+    /// Least saturation, of 256.
+    pub min_saturation: i32,
     /// Least layer difference, 0–255.
     pub min_layer: i32,
     /// Smallest and largest area of a patch, px².
@@ -25,19 +25,7 @@ pub(crate) struct ScanConfig {
     pub max_area: f64,
 }
 
-/// Integer thresholds of what counts as colored.
-#[derive(Clone, Copy)]
-struct Tint {
-    layer: i32,
-    /// Saturation of 256.
-    saturation: i32,
-}
-
-impl Tint {
-    fn new(config: &ScanConfig) -> Self {
-        Self { layer: config.min_layer, saturation: (config.min_saturation * 256.0) as i32 }
-    }
-
+impl ScanConfig {
     /// Whether a pixel's channels differ enough; most of an image fails this test.
     #[inline(always)]
     fn is_colored(&self, [a, b, c]: [u8; 3]) -> bool {
@@ -47,7 +35,7 @@ impl Tint {
 
     #[inline(always)]
     fn is_layer(&self, layer: i32, max: i32) -> bool {
-        (layer >= self.layer) & (layer * 256 >= self.saturation * max)
+        (layer >= self.min_layer) & (layer * 256 >= self.min_saturation * max)
     }
 }
 

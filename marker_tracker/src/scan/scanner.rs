@@ -3,7 +3,7 @@
 
 use crate::{
     image::Pixels,
-    scan::{Patch, ScanConfig, Tint, palette::Palette},
+    scan::{Patch, ScanConfig, palette::Palette},
 };
 use nalgebra::{Matrix2, Vector2, Vector3};
 use rig_model::MarkerColor;
@@ -86,13 +86,12 @@ impl Scanner {
         if x1 <= x0 || y1 <= y0 {
             return;
         }
-        if let Some(coverage) = image.coverage() {
+        if let Some(coverage) = &image.coverage {
             coverage.read([x0, y0].map(|v| v as i32), [x1 - 1, y1 - 1].map(|v| v as i32));
         }
         self.mark_cells(image, [x0, y0, x1, y1], config);
         let bytes = image.format.bytes_per_pixel();
         let blue_first = image.format.blue_first();
-        let tint = Tint::new(config);
         let palette = self.palette;
         for y in (y0..y1).step_by(stride) {
             self.here.clear();
@@ -117,8 +116,8 @@ impl Scanner {
                     let &[a, b, c, ..] = pixel else { break };
                     let x = (x0 + start + i * stride) as u32;
                     let rgb = if blue_first { [c, b, a] } else { [a, b, c] };
-                    let class = if tint.is_colored(rgb) { palette.classify(rgb) } else { None };
-                    let color = class.filter(|c| tint.is_layer(c.layer, c.max)).map(|c| c.color);
+                    let class = if config.is_colored(rgb) { palette.classify(rgb) } else { None };
+                    let color = class.filter(|c| config.is_layer(c.layer, c.max)).map(|c| c.color);
                     match (color, &mut open) {
                         (None, None) => {}
                         (Some(color), Some(run))
@@ -160,7 +159,6 @@ impl Scanner {
         self.seeds.clear();
         self.seeds.resize(columns * rows, false);
         let bytes = image.format.bytes_per_pixel();
-        let tint = Tint::new(config);
         let (grid, along) = (config.stride.clamp(GRID, CELL), config.grid.clamp(1, CELL));
         let skipped = if along == CELL { CELL / 2 } else { 0 };
         for y in (y0 + grid / 2..y1).step_by(grid) {
@@ -171,7 +169,7 @@ impl Scanner {
             for (seed, cell) in seeds.iter_mut().zip(row.chunks(CELL * bytes)) {
                 let mut pixels = cell.chunks_exact(bytes).skip(skipped).step_by(along);
                 // The order of the channels makes no difference here.
-                *seed = *seed || pixels.any(|p| tint.is_colored([p[0], p[1], p[2]]));
+                *seed = *seed || pixels.any(|p| config.is_colored([p[0], p[1], p[2]]));
             }
         }
         self.cells.clear();

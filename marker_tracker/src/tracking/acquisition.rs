@@ -98,7 +98,7 @@ impl Acquisition {
         let config = ScanConfig {
             stride: 1,
             grid: 4,
-            min_saturation: 0.15,
+            min_saturation: 38,
             min_layer: 10,
             min_area: 0.5 * area.abs(),
             max_area: 1.5 * area.abs(),
@@ -134,7 +134,7 @@ impl Acquisition {
         let coarse = ScanConfig {
             stride: 2 * stride,
             grid: CELL,
-            min_saturation: 0.28,
+            min_saturation: 71,
             min_layer: 20,
             min_area: 100.0,
             max_area: size / 6.0,
@@ -142,12 +142,13 @@ impl Acquisition {
         let fine = ScanConfig {
             stride,
             grid: stride.clamp(4, 8),
-            min_saturation: 0.15,
+            min_saturation: 38,
             min_layer: 12,
             min_area: 40.0,
             ..coarse
         };
-        let verification = Verification { image, camera, known_camera, platform, meters };
+        let palette = self.scanner.palette;
+        let verification = Verification { image, camera, known_camera, platform, meters, palette };
         // Three patches only where no four are confirmed.
         for (config, extents) in [
             (coarse, &[Extent::Quick] as &[Extent]),
@@ -157,7 +158,7 @@ impl Acquisition {
             for extent in extents {
                 let (geometry, patches) = (platform.geometry(camera), &self.scanner.patches);
                 hypotheses(geometry, patches, strictness, *extent, &mut self.found);
-                let best = verification.best_of(&self.found, &self.scanner);
+                let best = verification.best_of(&self.found);
                 if best.is_some() {
                     return best;
                 }
@@ -174,16 +175,17 @@ struct Verification<'a, 'p> {
     known_camera: bool,
     platform: &'a PlatformModel,
     meters: &'a PerColor<OutlineMeter>,
+    palette: Palette,
 }
 
 impl Verification<'_, '_> {
     /// The hypothesis that its outlines confirm best; none where three markers could be in several
     /// places.
-    fn best_of(&self, found: &[Hypothesis], scanner: &Scanner) -> Option<Acquired> {
+    fn best_of(&self, found: &[Hypothesis]) -> Option<Acquired> {
         let mut best: Option<Acquired> = None;
         let mut ambiguous = false;
         for hypothesis in found {
-            let Some(v) = self.verify(hypothesis, scanner) else { continue };
+            let Some(v) = self.verify(hypothesis) else { continue };
             if let Some(b) = &best {
                 ambiguous |= b.count == v.count && !b.is_at_the_place_of(&v);
             }
@@ -198,7 +200,7 @@ impl Verification<'_, '_> {
     }
 
     /// Measures the outlines of one hypothesis and refines its pose.
-    fn verify(&self, hypothesis: &Hypothesis, scanner: &Scanner) -> Option<Acquired> {
+    fn verify(&self, hypothesis: &Hypothesis) -> Option<Acquired> {
         let start = View {
             camera: self.camera,
             is_known: self.known_camera,
@@ -208,15 +210,13 @@ impl Verification<'_, '_> {
         let mut observations = [PoseObservation::NONE; 4];
         let (mut count, mut side, mut shape_error) = (0, 0.0, 0.0);
         for color in MarkerColor::ALL {
-            let Some(patch) = hypothesis.patches[color].and_then(|i| scanner.patches.get(i)) else {
-                continue;
-            };
+            let Some(patch) = &hypothesis.patches[color] else { continue };
             let Some(predicted) = self.platform.outline(color, &start) else { continue };
             let (_, place) = predicted.area_and_centroid();
             let predicted = predicted.shifted(patch.centroid - place);
             let Some(mut appearance) = Appearance::sample(self.image, &predicted) else { continue };
             if mean_rgb(self.image, patch.centroid, 1)
-                .is_some_and(|rgb| scanner.palette.classify_mean(rgb.map(|v| v as f32)).is_none())
+                .is_some_and(|rgb| self.palette.classify_mean(rgb.map(|v| v as f32)).is_none())
             {
                 continue;
             }

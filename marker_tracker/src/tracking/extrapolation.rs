@@ -10,7 +10,7 @@ use crate::{
     },
 };
 use nalgebra::Isometry3;
-use rig_model::{CameraModel, PerColor};
+use rig_model::{CameraModel, PerColor, planar_pose::moved};
 
 /// Longest extrapolation of a motion that fewer than three markers cannot determine, s. Tuned;
 /// guarded by the bounds on predicted markers in `tests/synthetic` and `tests/bags`.
@@ -47,7 +47,7 @@ impl State {
             (by_velocity + HALF_ACCELERATION_SIGMA[i] * age * age).min(UNKNOWN_SIGMA)
         };
         (age < MAX_AGE).then(|| PosePrior {
-            camera_from_volant: motion.scaled(ratio).apply(&self.camera_from_volant),
+            camera_from_volant: moved(&self.camera_from_volant, &(motion * ratio)),
             position_sigma: sigma(0),
             rotation_sigma: sigma(1),
         })
@@ -56,7 +56,7 @@ impl State {
     fn after(&self, pose: &Isometry3<f64>, ratio: f64, dt: f64) -> Self {
         Self {
             camera_from_volant: *pose,
-            motion: self.motion.map(|m| m.scaled(ratio)),
+            motion: self.motion.map(|m| m * ratio),
             age: self.age + dt,
         }
     }

@@ -100,7 +100,7 @@ impl MarkerTrack {
             .flat_map(|y| (x0..x1).map(move |x| (x, y)))
             .map(|(x, y)| sampler.at(x, y).map_or(f32::NAN, |v| v - offset))
             .collect();
-        let hue = appearance.hue.bins().to_vec();
+        let hue = appearance.hue.bins.to_vec();
         Some(SignalView { origin: [x0, y0], width, signal, hue })
     }
 }

@@ -318,7 +318,7 @@ impl Engine for Pipeline {
     }
 
     fn process(&mut self, image: &Pixels<'_>) -> Result<Option<MarkerObservations>, String> {
-        let before = image.coverage().map(|_| self.state.clone());
+        let before = image.coverage.as_ref().map(|_| self.state.clone());
         let observations = self.observe(image);
         match before {
             Some(before) if image.is_missing() => {

@@ -1,36 +1,17 @@
 //! The platform's pose and its motion from image to image.
 
-use crate::geometry::moved;
-use nalgebra::{Isometry3, Vector3};
-use rig_model::Stamp;
+use nalgebra::{Isometry3, Vector6};
+use rig_model::{Stamp, planar_pose::moved};
 
-/// Displacement of the platform over one image interval.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Motion {
-    /// Of the platform's origin, camera frame, m.
-    pub translation: Vector3<f64>,
-    /// Rotation vector along the camera's axes, rad.
-    pub rotation: Vector3<f64>,
-}
+/// Displacement of the platform over one image interval, along the camera's axes: of its origin, m,
+/// and rotation vector, rad.
+pub(super) type Motion = Vector6<f64>;
 
-impl Motion {
-    /// The motion from one pose (`camera_from_volant`) to the next.
-    pub fn between(from: &Isometry3<f64>, to: &Isometry3<f64>) -> Self {
-        Self {
-            translation: to.translation.vector - from.translation.vector,
-            rotation: (to.rotation * from.rotation.inverse()).scaled_axis(),
-        }
-    }
-
-    /// The motion over an interval that is `ratio` times as long, at the same rate.
-    pub fn scaled(&self, ratio: f64) -> Self {
-        Self { translation: self.translation * ratio, rotation: self.rotation * ratio }
-    }
-
-    /// Moves a pose.
-    pub fn apply(&self, pose: &Isometry3<f64>) -> Isometry3<f64> {
-        moved(pose, &self.translation, &self.rotation)
-    }
+/// The motion from one pose (`camera_from_volant`) to the next.
+fn motion_between(from: &Isometry3<f64>, to: &Isometry3<f64>) -> Motion {
+    let translation = to.translation.vector - from.translation.vector;
+    let rotation = (to.rotation * from.rotation.inverse()).scaled_axis();
+    Motion::from_iterator(translation.iter().chain(rotation.iter()).copied())
 }
 
 /// Pose of the platform in the last image and its last motion.
@@ -49,14 +30,14 @@ impl PlatformMotion {
     pub fn predicted(&self, ratio: f64, use_motion: bool) -> Option<Isometry3<f64>> {
         let pose = self.pose?;
         let motion = self.last.filter(|_| use_motion);
-        Some(motion.map_or(pose, |motion| motion.scaled(ratio).apply(&pose)))
+        Some(motion.map_or(pose, |motion| moved(&pose, &(motion * ratio))))
     }
 
     /// Replaces the last motion by the one from `before` to the current pose, which three markers
     /// determine where `is_determined`.
     pub fn update(&mut self, before: Option<Isometry3<f64>>, is_determined: bool) {
         let before = before.filter(|_| self.is_determined && is_determined);
-        self.last = before.zip(self.pose).map(|(from, to)| Motion::between(&from, &to));
+        self.last = before.zip(self.pose).map(|(from, to)| motion_between(&from, &to));
         self.is_determined = is_determined;
     }
 }

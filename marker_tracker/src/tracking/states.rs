@@ -6,7 +6,7 @@ use crate::{
     outline::QuadFit, signal::Sampler, tracking::marker::MarkerTrack,
 };
 use nalgebra::{Matrix2, Vector2};
-use rig_model::{MarkerColor, MarkerObservation, MarkerState, PerColor};
+use rig_model::{MarkerColor, MarkerObservation, PerColor};
 
 /// Standard deviation of a marker about the place that a pose gives it, px; tuned; guarded by
 /// the bounds on predicted markers in `tests/bags`.
@@ -78,13 +78,7 @@ impl MarkerTrack {
         self.centroid = Some(fit.centroid);
         self.occluded = Some(0);
         self.sigma = POSE_SIGMA;
-        MarkerObservation {
-            state: MarkerState::Detected,
-            occluded_frames: 0,
-            centroid: fit.centroid,
-            covariance: fit.covariance,
-            area: fit.area as f32,
-        }
+        MarkerObservation::detected(fit.centroid, fit.covariance, fit.area)
     }
 
     /// The observation of an unmeasured marker. `rigid`: its centroid (px) and covariance (px²) in
@@ -140,12 +134,6 @@ impl MarkerTrack {
         self.centroid = self.centroid.filter(|_| since <= max_predicted).map(|c| c + flow);
         let Some(centroid) = self.centroid else { return MarkerObservation::lost(since) };
         self.sigma = (covariance.trace() / 2.0).sqrt();
-        MarkerObservation {
-            state: MarkerState::Predicted,
-            occluded_frames: since,
-            centroid,
-            covariance,
-            area: 0.0,
-        }
+        MarkerObservation::predicted(since, centroid, covariance)
     }
 }

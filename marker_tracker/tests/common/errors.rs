@@ -4,7 +4,7 @@
 
 use nalgebra::Vector2;
 use rig_model::{MarkerObservation, MarkerState};
-use std::{fmt, ops::Add};
+use std::fmt;
 
 /// Sums over markers.
 #[derive(Clone, Copy, Default)]
@@ -65,22 +65,6 @@ impl Errors {
     /// Mean normalized squared error.
     pub fn nes(&self) -> f64 {
         self.nes / self.n()
-    }
-}
-
-impl Add for Errors {
-    type Output = Self;
-
-    fn add(self, other: Self) -> Self {
-        Self {
-            shown: self.shown + other.shown,
-            count: self.count + other.count,
-            sum: self.sum + other.sum,
-            square: self.square + other.square,
-            variance: self.variance + other.variance,
-            nes: self.nes + other.nes,
-            worst: self.worst.max(other.worst),
-        }
     }
 }
 

@@ -36,8 +36,8 @@ fn shadowed(shadow: &Shadow, rig: &Rig, color: MarkerColor, at: &Instant, second
     f64::from(dark as u32) / f64::from(N * N)
 }
 
-/// Tracks 60 images (30 Hz) of a swing under a shadow; scores by the shadowed share.
-fn sweep(seed: u64, shadow: Shadow) -> [Errors; CLASSES.len()] {
+/// Tracks 60 images (30 Hz) of a swing under a shadow; adds to the scores by the shadowed share.
+fn sweep(seed: u64, shadow: Shadow, scores: &mut [Errors; CLASSES.len()]) {
     let rig = Rig::from_yaml(RIG_YAML).unwrap();
     let lens = Distortion::PlumbBob([-0.23, 0.08, 7e-4, -4e-4, -0.006]);
     let camera = CameraModel::new(640, 480, [590.0, 588.0, 319.3, 235.2], lens).unwrap();
@@ -48,7 +48,6 @@ fn sweep(seed: u64, shadow: Shadow) -> [Errors; CLASSES.len()] {
     let mut renderer = Renderer::new(camera.clone(), &rig, scene);
     let mut tracker = Tracker::new(rig.markers.clone(), TrackerConfig::default());
     tracker.handle(Input::Camera(camera.clone()));
-    let mut scores = [Errors::default(); CLASSES.len()];
     for k in 0..60u32 {
         let seconds = f64::from(k) / 30.0;
         let instant = |t: f64| Instant {
@@ -77,7 +76,6 @@ fn sweep(seed: u64, shadow: Shadow) -> [Errors; CLASSES.len()] {
             scores[class].show(m, truth);
         }
     }
-    scores
 }
 
 /// Asserts that under eight shadows the markers of each class are detected, precisely and
@@ -86,9 +84,7 @@ fn assert_measured(name: &str, lights: [f32; 3], shadow: impl Fn(f32, f32) -> Sh
     let mut scores = [Errors::default(); CLASSES.len()];
     for seed in 0..8u64 {
         let shadow = shadow(lights[seed as usize % 3], seed as f32 * 0.7);
-        for (sum, score) in scores.iter_mut().zip(sweep(seed + 1, shadow)) {
-            *sum = *sum + score;
-        }
+        sweep(seed + 1, shadow, &mut scores);
     }
     for ((_, class), score) in CLASSES.iter().zip(&scores) {
         eprintln!("{name:5} {class:8} {score}");

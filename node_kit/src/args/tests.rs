@@ -146,28 +146,3 @@ fn a_mistyped_node_name_is_rejected_and_that_of_another_node_is_not() {
         assert!(result.is_ok() || result.is_err_and(|error| error.is_usage()), "{rule}");
     }
 }
-
-#[test]
-fn a_programs_own_value_is_above_every_file_and_gives_way_to_the_nodes_p() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("rig.yaml");
-    std::fs::write(&path, "/**: {ros__parameters: {port: file}}").unwrap();
-    let node = NodeName::new("/", "imu_driver").unwrap();
-    for (line, port) in [
-        ("--params-file FILE", "own"),
-        ("-p other:port:=p --params-file FILE", "own"),
-        ("-p port:=p", "p"),
-        ("--params-file FILE -p imu_driver:port:=p", "p"),
-        // As in rcl, the later one of the command line wins.
-        ("-p port:=p --params-file FILE", "file"),
-    ] {
-        let line = format!("--ros-args {line}").replace("FILE", &path.display().to_string());
-        let (ros, _) = RosArguments::parse(words(&line)).unwrap();
-        let mut own = RosArguments::default();
-        for value in ["first", "own"] {
-            own.set("port", ParameterValue::String(value.to_owned()));
-        }
-        let given = ros.over(own).overrides(&node);
-        assert_eq!(given["port"].value, ParameterValue::String(port.to_owned()), "{line}");
-    }
-}

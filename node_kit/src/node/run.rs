@@ -144,24 +144,6 @@ mod tests {
     use crate::names::NodeName;
     use ros_parameters::{ParameterKind, ParameterValue};
 
-    /// Launch files pass `--port=$(var port)`, whose default is empty.
-    #[test]
-    fn an_argument_overrides_the_file_only_where_it_is_given() {
-        let folder = tempfile::TempDir::new().unwrap();
-        let file = folder.path().join("rig.yaml");
-        std::fs::write(&file, "/imu_driver: {ros__parameters: {port: /dev/imu}}").unwrap();
-        let own = [Descriptor::new("port", ParameterKind::String, None, "")];
-        let node = NodeName::new("/", "imu_driver").unwrap();
-        let port = |argument: &str| {
-            let mut ros = RosArguments::default();
-            ros.add_file(file.clone()).unwrap();
-            let ros = own_arguments(ros, vec![argument.to_owned()], &own).unwrap();
-            ros.overrides(&node)["port"].value.clone()
-        };
-        assert_eq!(port("--port="), ParameterValue::String("/dev/imu".into()));
-        assert_eq!(port("--port=/dev/ttyUSB1"), ParameterValue::String("/dev/ttyUSB1".into()));
-    }
-
     #[test]
     fn ros_args_override_what_is_given_outside() {
         let folder = tempfile::TempDir::new().unwrap();
@@ -176,7 +158,16 @@ mod tests {
         for (line, port, source) in [
             ("--port A --rig RIG --ros-args -p port:=B", "B", "rig"),
             ("--rig RIG --ros-args --params-file OTHER", "other", "other"),
+            // Its own value is above every file, the last one counts, and an empty one does not:
+            // launch files pass `--port=$(var port)`.
             ("--port A --port C --rig RIG --ros-args --params-file OTHER", "C", "other"),
+            ("--port=A --ros-args --params-file OTHER", "A", "other"),
+            ("--port= --ros-args --params-file OTHER", "other", "other"),
+            // It gives way to a `-p` for the node.
+            ("--port A --ros-args -p other:port:=B --params-file OTHER", "A", "other"),
+            ("--port A --ros-args --params-file OTHER -p imu_driver:port:=B", "B", "other"),
+            // As in rcl, the later one of the command line wins.
+            ("--port A --ros-args -p port:=B --params-file OTHER", "other", "other"),
         ] {
             let line = line.replace("RIG", &rig).replace("OTHER", &other);
             let words = line.split(' ').map(str::to_owned);

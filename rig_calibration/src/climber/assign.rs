@@ -51,19 +51,20 @@ pub(super) fn assign(
     let moving: Vec<usize> = (0..series.len()).filter(|&j| span(&readings[j]) > 0.0).collect();
     let turned = span(&yaw) > MOVED[1];
     // With the camera off the climber's axis, a turn moves it on a circle.
-    let circle: Vec<[Vec<f64>; 2]> = if turned {
-        let of = |f: fn(f64) -> f64| yaw.iter().map(|a| f(*a)).collect::<Vec<_>>();
-        let minus = |v: Vec<f64>| v.iter().map(|x| -x).collect::<Vec<_>>();
-        vec![[of(f64::cos), of(f64::sin)], [minus(of(f64::sin)), of(f64::cos)]]
-    } else {
-        vec![]
+    let both = |x: fn(f64) -> f64, y: fn(f64) -> f64| -> Vec<f64> {
+        yaw.iter().map(|a| x(*a)).chain(yaw.iter().map(|a| y(*a))).collect()
     };
-    let coordinates = [0, 1].map(|i| place.iter().map(|p| p[i]).collect::<Vec<f64>>());
+    let circle = match turned {
+        true => vec![both(f64::cos, f64::sin), both(|a: f64| -a.sin(), f64::cos)],
+        false => vec![],
+    };
+    let coordinates: Vec<f64> =
+        place.iter().map(|p| p.x).chain(place.iter().map(|p| p.y)).collect();
     let prefer =
         |joint: usize, axes: &[usize]| axes.iter().any(|&a| preferred[a] == series[joint].name);
     let turn = if turned {
         let fits = moving.iter().map(|&j| {
-            let fit = regress(&[&yaw], &[[readings[j].clone()].to_vec()]);
+            let fit = regress(shots.len(), &yaw, &readings[j..=j]);
             (vec![j], fit)
         });
         let (joints, fit) = best(fits.collect(), |j| prefer(j, &[2]))
@@ -165,41 +166,35 @@ fn enough(fit: &Fit, motion: &str, joint: &str) -> Result<(), ClimberError> {
     Err(ClimberError::no_joint(motion, joint, 100.0 * fit.explained.max(0.0)))
 }
 
-/// Regresses the two coordinates on readings, each with a coefficient per coordinate, and on
-/// regressors that both have in common.
-fn regress_plane(
-    coordinates: &[Vec<f64>; 2],
-    readings: &[&Vec<f64>],
-    common: &[[Vec<f64>; 2]],
-) -> Fit {
-    let zeros = vec![0.0; coordinates[0].len()];
-    let mut columns: Vec<Vec<Vec<f64>>> = vec![];
+/// Regresses the two coordinates, x of all images and then y, on readings, each with a coefficient
+/// per coordinate, and on columns that both have in common.
+fn regress_plane(coordinates: &[f64], readings: &[&Vec<f64>], common: &[Vec<f64>]) -> Fit {
+    let n = coordinates.len() / 2;
+    let zeros = vec![0.0; n];
+    let mut columns: Vec<Vec<f64>> = vec![];
     for reading in readings {
-        columns.push(vec![(*reading).clone(), zeros.clone()]);
-        columns.push(vec![zeros.clone(), (*reading).clone()]);
+        columns.push([reading.as_slice(), zeros.as_slice()].concat());
+        columns.push([zeros.as_slice(), reading.as_slice()].concat());
     }
-    columns.extend(common.iter().map(|c| c.to_vec()));
-    regress(&[&coordinates[0], &coordinates[1]], &columns)
+    columns.extend_from_slice(common);
+    regress(n, coordinates, &columns)
 }
 
-/// Least squares of targets, each with an offset of its own, on columns (target by target).
-fn regress(targets: &[&Vec<f64>], columns: &[Vec<Vec<f64>>]) -> Fit {
-    let n = targets[0].len();
-    let mean = |v: &[f64]| v.iter().sum::<f64>() / n as f64;
-    let centered = |parts: &[&Vec<f64>]| -> Vec<f64> {
-        parts
-            .iter()
-            .flat_map(|p| {
-                let m = mean(p);
-                p.iter().map(move |v| v - m)
-            })
-            .collect()
+/// Least squares of a target on columns of its form: one or two series of `n` values, one after the
+/// other, each with an offset of its own.
+fn regress(n: usize, target: &[f64], columns: &[Vec<f64>]) -> Fit {
+    let centered = |values: &[f64]| {
+        let parts = values.chunks(n).flat_map(|part| {
+            let mean = part.iter().sum::<f64>() / n as f64;
+            part.iter().map(move |v| v - mean)
+        });
+        DVector::from_iterator(values.len(), parts)
     };
-    let y = DVector::from_vec(centered(targets));
+    let y = centered(target);
     let mut a = DMatrix::zeros(y.len(), columns.len());
     let mut scales = vec![];
     for (i, column) in columns.iter().enumerate() {
-        let column = DVector::from_vec(centered(&column.iter().collect::<Vec<_>>()));
+        let column = centered(column);
         scales.push(column.norm().max(f64::MIN_POSITIVE));
         a.set_column(i, &(column / scales[i]));
     }
@@ -211,12 +206,10 @@ fn regress(targets: &[&Vec<f64>], columns: &[Vec<Vec<f64>>]) -> Fit {
     };
     let coefficients =
         solved.iter().flat_map(|x| x.iter().zip(&scales).map(|(c, s)| c / s)).collect();
-    let parts: Vec<f64> = residual.iter().copied().collect();
-    let (u, v) = parts.split_at(n);
-    // Twice √3 standard deviations: the extent of an even distribution.
-    let v: Vec<f64> = if v.is_empty() { vec![0.0; n] } else { v.to_vec() };
+    let (u, v) = residual.as_slice().split_at(n);
     let moment = |p: &[f64], q: &[f64]| p.iter().zip(q).map(|(a, b)| a * b).sum::<f64>() / n as f64;
-    let spread = nalgebra::Matrix2::new(moment(u, u), moment(u, &v), moment(u, &v), moment(&v, &v));
+    let spread = nalgebra::Matrix2::new(moment(u, u), moment(u, v), moment(u, v), moment(v, v));
+    // Twice √3 standard deviations: the extent of an even distribution.
     let mut axes = spread.symmetric_eigenvalues().map(|s| (12.0 * s.max(0.0)).sqrt());
     if axes[0] < axes[1] {
         axes.swap_rows(0, 1);

@@ -71,14 +71,12 @@ pub fn rig_keys() -> Vec<RigKey> {
 }
 
 /// Reads values of the rig file from flat parameters, with the defaults of [`rig_keys`].
-pub(super) struct Reader<'a> {
-    map: &'a ParameterMap,
-    defaults: Vec<RigKey>,
-}
+pub(super) struct Reader(ParameterMap);
 
-impl<'a> Reader<'a> {
-    pub(super) fn new(map: &'a ParameterMap) -> Self {
-        Self { map, defaults: rig_keys() }
+impl Reader {
+    pub(super) fn new(map: &ParameterMap) -> Self {
+        let defaults = rig_keys().into_iter().filter_map(|k| Some((k.name.to_owned(), k.default?)));
+        Self(defaults.chain(map.clone()).collect())
     }
 
     /// Value of `key`, converted by `convert`.
@@ -89,11 +87,9 @@ impl<'a> Reader<'a> {
         convert: impl Fn(&ParameterValue) -> Option<T>,
     ) -> Result<T, RigError> {
         let invalid =
-            |found: String| RigError::Key(format!("`{key}` is {found}; it must hold {expected}"));
-        let default = || self.defaults.iter().find(|d| d.name == key)?.default.as_ref();
-        let value =
-            self.map.get(key).or_else(default).ok_or_else(|| invalid("missing".to_owned()))?;
-        convert(value).ok_or_else(|| invalid(format!("a {}", ParameterKind::of(value).name())))
+            |found: &str| RigError(format!("the key `{key}` is {found}; it must hold {expected}"));
+        let value = self.0.get(key).ok_or_else(|| invalid("missing"))?;
+        convert(value).ok_or_else(|| invalid(&format!("a {}", ParameterKind::of(value).name())))
     }
 
     pub(super) fn text(&self, key: &str) -> Result<String, RigError> {

@@ -200,7 +200,11 @@ impl Motion {
 
     /// Pose of the climber at `t` seconds.
     pub fn world_from_climber(&self, t: f64) -> Isometry3<f64> {
-        let [x, y, turn] = self.climber(t);
+        self.climber_pose(self.climber(t))
+    }
+
+    /// Pose of the climber with this x, y (m) and turn (rad).
+    pub(crate) fn climber_pose(&self, [x, y, turn]: [f64; 3]) -> Isometry3<f64> {
         Isometry3::from_parts(
             Translation3::new(x, y, self.config.climber_height),
             UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn),
@@ -215,14 +219,12 @@ impl Motion {
     /// Pose of the platform at `t` seconds.
     pub fn world_from_volant(&self, t: f64) -> Isometry3<f64> {
         let e = self.envelope(t);
-        let [x, y, turn] = self.climber(t);
+        let [.., turn] = self.climber(t);
         let wobble = [e * self.wobble[0].at(t), e * self.wobble[1].at(t)];
         // Along the rope: leaning by φ about x moves the platform towards −y … and lifts it.
         let rope = self.lean(t);
         let hang = rope * Vector3::new(0.0, 0.0, -self.rope);
-        let position =
-            Vector3::new(x, y, self.config.platform_height + self.rope + e * self.heave.at(t))
-                + hang;
+        let position = self.pivot(t) + hang;
         let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn + e * self.yaw.at(t));
         let lean = UnitQuaternion::from_scaled_axis(Vector3::new(wobble[0], wobble[1], 0.0));
         Isometry3::from_parts(position.into(), rope * yaw * lean)

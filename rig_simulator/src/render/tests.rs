@@ -12,7 +12,7 @@ const RIG: &str = "/**:
       blue: [-0.15, -0.15, 0.02], yellow: [0.15, -0.15, 0.02]}
 ";
 
-fn camera() -> CameraModel {
+pub fn camera() -> CameraModel {
     let lens = Distortion::PlumbBob([-0.23, 0.08, 7e-4, -4e-4, -0.006]);
     CameraModel::new(640, 480, [590.0, 588.0, 319.3, 235.2], lens).unwrap()
 }

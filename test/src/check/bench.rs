@@ -1,7 +1,10 @@
 //! A recording, its faults, and whether a check names them.
 
 use super::{fault::Fault, light::findings_while_running};
-use crate::robustness::recording::{PERTURBED_FROM, Recording};
+use crate::{
+    live::Scenario,
+    robustness::recording::{PERTURBED_FROM, Recording},
+};
 use marker_tracker::TrackerConfig;
 use nalgebra::Vector3;
 use pose_fusion::Input;
@@ -10,10 +13,7 @@ use rig_model::{
     CameraModel, Distortion, MarkerLayout, Rig, Stamp,
     score::{Truth, TruthSample},
 };
-use rig_simulator::{
-    inertial::{SensorConfig, Sensors},
-    motion::{Motion, MotionConfig},
-};
+use rig_simulator::motion::MotionConfig;
 use std::path::{Path, PathBuf};
 use volant::{calibration::track_bag, replay::TopicNames};
 
@@ -75,24 +75,22 @@ impl Bench {
 
     /// Simulates a run with a motion and its seed.
     pub fn of_motion(config: MotionConfig) -> anyhow::Result<Self> {
-        let seed = config.seed;
-        let motion = Motion::new(config);
-        let rig = Rig::from_yaml(rig_simulator::RIG_YAML)?;
+        let name = format!("simulated {}", config.seed);
         let lens = Distortion::PlumbBob([-0.23, 0.082, 7e-4, -4e-4, -0.006]);
         let camera = CameraModel::new(640, 480, [591.3, 589.7, 319.3, 235.2], lens)?;
-        let sensors = SensorConfig::nominal(seed);
-        let recorded = Sensors::new(&motion, &rig, &camera, &sensors).record();
-        let start = sensors.epoch;
+        let scenario = Scenario { camera: camera.clone(), ..Scenario::new(config)? };
+        let recorded = scenario.simulated_sensors().record();
+        let start = scenario.sensors.epoch;
         let mut inputs: Vec<(Stamp, Input)> = vec![(start, Input::Camera(camera))];
         inputs.extend(recorded.into_iter().map(|(at, message)| (at, message.into())));
         let truth = Truth::new(vec![TruthSample {
             stamp: start,
-            world_from_volant: motion.world_from_volant(0.0),
+            world_from_volant: scenario.motion.world_from_volant(0.0),
             linear_velocity: Vector3::zeros(),
             angular_velocity: Vector3::zeros(),
         }]);
-        let name = format!("simulated {seed}");
-        Self::new(Recording { name, rig, inputs, truth, perturbed_from: PERTURBED_FROM }, None)
+        let (rig, perturbed_from) = (scenario.rig, PERTURBED_FROM);
+        Self::new(Recording { name, rig, inputs, truth, perturbed_from }, None)
     }
 
     fn new(recording: Recording, images: Option<PathBuf>) -> anyhow::Result<Self> {

@@ -1,6 +1,6 @@
 //! Fault injectors for camera and encoders.
 
-use crate::live::{FaultInjector, SensorMessage};
+use crate::live::FaultInjector;
 use node_kit::convert;
 use rig_simulator::{RgbImage, random::Random};
 use std::time::Duration;
@@ -9,22 +9,15 @@ use volant_msgs::sensor_msgs::msg::{CompressedImage, JointState};
 /// Messages that replace one message, each with a delay.
 type Replaced<M> = Vec<(Duration, M)>;
 
-fn wrapped<M>(messages: Replaced<M>, wrap: fn(M) -> SensorMessage) -> Replaced<SensorMessage> {
-    messages.into_iter().map(|(delay, m)| (delay, wrap(m))).collect()
-}
-
 /// Replaces images by others; `replace` gets the number of the image, from 1 on.
 pub fn images_as(
     mut replace: impl FnMut(u64, CompressedImage) -> Replaced<CompressedImage> + Send + 'static,
 ) -> FaultInjector {
     let mut number = 0;
-    Box::new(move |message| match message {
-        SensorMessage::Image(m) => {
-            number += 1;
-            wrapped(replace(number, m), SensorMessage::Image)
-        }
-        other => vec![(Duration::ZERO, other)],
-    })
+    FaultInjector::Images(Box::new(move |m| {
+        number += 1;
+        replace(number, m)
+    }))
 }
 
 /// Replaces encoder readings by others; `replace` gets the number of the reading, from 1 on.
@@ -32,13 +25,10 @@ pub fn joints_as(
     mut replace: impl FnMut(u64, JointState) -> Replaced<JointState> + Send + 'static,
 ) -> FaultInjector {
     let mut number = 0;
-    Box::new(move |message| match message {
-        SensorMessage::Joints(m) => {
-            number += 1;
-            wrapped(replace(number, m), SensorMessage::Joints)
-        }
-        other => vec![(Duration::ZERO, other)],
-    })
+    FaultInjector::Joints(Box::new(move |m| {
+        number += 1;
+        replace(number, m)
+    }))
 }
 
 pub fn images(mut change: impl FnMut(&mut CompressedImage) + Send + 'static) -> FaultInjector {

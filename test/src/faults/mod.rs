@@ -101,10 +101,10 @@ impl Row {
         let logs = folder.to_owned();
         let ended = run.finish()?;
         if let Some(bag) = bag {
-            bag::write(bag, scenario, epoch, &ended.sent, &ended.received)
+            bag::write(bag, scenario, epoch, &ended.received)
                 .map_err(|error| anyhow!("the run's bag: {error}"))?;
         }
-        Ok(outcome::judge(self, scenario, &ended, &logs, notes))
+        Ok(outcome::judge(self, scenario, epoch, &ended, &logs, notes))
     }
 }
 

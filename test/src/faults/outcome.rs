@@ -38,13 +38,14 @@ pub(crate) const NEES_SHARE: f64 = 0.02;
 pub fn judge(
     row: &Row,
     scenario: &Scenario,
+    epoch: Stamp,
     ended: &Ended,
     folder: &Path,
     notes: Notes,
 ) -> Outcome {
     let received = &ended.received.by_the_time_as_it_is(row.clock_ahead);
-    let at = |t: f64| ended.epoch.plus_seconds(t);
-    let truth = |s: Stamp| scenario.motion.world_from_volant(s.seconds_since(ended.epoch));
+    let at = |t: f64| epoch.plus_seconds(t);
+    let truth = |s: Stamp| scenario.motion.world_from_volant(s.seconds_since(epoch));
     let fused = received.fused();
     let (rate, longest_gap) = flow(&fused, at(WINDOW[0]), at(WINDOW[1]));
     let (worst_position, worst_rotation) = worst(&fused, at(WINDOW[0]), at(WINDOW[1]), truth);

@@ -1,15 +1,14 @@
 //! A disk that fills up during a recording: `volant record` writes to a file system of 2 MiB.
 
 use super::{Action, Notes, Row, table::row};
-use crate::live::{Run, processes::executables};
+use crate::live::{Node, Run};
 use anyhow::{Result, anyhow};
 use bag::{BagError, BagReader};
 use std::{
     cell::RefCell,
     fmt::Display,
-    io::Read,
     path::{Path, PathBuf},
-    process::{Child, Command, Stdio},
+    process::Command,
     rc::Rc,
     time::Duration,
 };
@@ -17,9 +16,9 @@ use std::{
 /// Size of the disk; the rig's topics fill it within two seconds.
 const SIZE: &str = "size=2m";
 
-/// The disk and the recorder while the row runs.
+/// The recorder and its disk while the row runs; they drop in this order.
 struct Recorder {
-    child: Child,
+    process: Node,
     disk: Disk,
 }
 
@@ -67,19 +66,12 @@ pub(super) fn disk_full() -> Row {
 }
 
 fn start(run: &Run) -> Result<Recorder> {
-    let folder = run.folder.join("full");
-    let disk = Disk::mount(&folder)?;
-    let path = executables().join("volant");
-    let child = Command::new(&path)
-        .args(["record", "--all", "--out"])
-        .arg(folder.join("run.mcap"))
-        .env("ROS_DOMAIN_ID", run.domain().to_string())
-        .stdin(Stdio::null())
-        .stdout(Stdio::null())
-        .stderr(Stdio::piped())
-        .spawn()
-        .map_err(|error| anyhow!("{}: {error}", path.display()))?;
-    Ok(Recorder { child, disk })
+    let disk = Disk::mount(&run.folder.join("full"))?;
+    let bag = disk.0.join("run.mcap").display().to_string();
+    let words = ["record", "--all", "--out", &bag];
+    let environment = [("ROS_DOMAIN_ID".to_owned(), run.domain.to_string())];
+    let process = Node::start(None, "volant", &words, &environment, &run.folder)?;
+    Ok(Recorder { process, disk })
 }
 
 /// Asserts that it ended by itself with status 1 and one line that names the file, and that its bag
@@ -87,19 +79,14 @@ fn start(run: &Run) -> Result<Recorder> {
 fn finish(mut recorder: Recorder, notes: &mut Notes) {
     let ended = (0..100).find_map(|_| {
         std::thread::sleep(Duration::from_millis(10));
-        recorder.child.try_wait().ok().flatten()
+        recorder.process.ended()
     });
     let Some(status) = ended else {
-        let _ = recorder.child.kill();
-        let _ = recorder.child.wait();
         notes.failures.push("the recorder went on though the disk was full".to_owned());
         return;
     };
-    let mut words = String::new();
-    if let Some(mut stderr) = recorder.child.stderr.take() {
-        let _ = stderr.read_to_string(&mut words);
-    }
-    let last = words.lines().last().unwrap_or_default().to_owned();
+    let log = std::fs::read_to_string(&recorder.process.log).unwrap_or_default();
+    let last = log.lines().last().unwrap_or_default();
     if status.code() != Some(1) || !last.contains("run.mcap") {
         notes.failures.push(format!("the recorder ended with {status} and wrote `{last}`"));
     }

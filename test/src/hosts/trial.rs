@@ -5,7 +5,7 @@ use super::{Hosts, Impairment};
 use crate::{
     accuracy::Errors,
     faults::outcome,
-    live::{ClockError, Host, ImageSequence, NODES, Run, Scenario, Site},
+    live::{ClockError, Host, ImageSequence, Node, Run, Scenario, Site},
     report::verdict,
 };
 use anyhow::Result;
@@ -256,18 +256,10 @@ impl Trial {
             }
             Trouble::Restart(host) => {
                 run.play_until(WINDOW[0], |_, _| {})?;
-                let names = NODES.into_iter().filter(|n| Host::of(n) == host);
-                for name in names.clone() {
-                    if let Some(node) = run.nodes.get(name) {
-                        node.kill()?;
-                    }
-                }
+                let on_host = |node: &&mut Node| Host::of(&node.name) == host;
+                run.nodes.0.iter_mut().filter(on_host).try_for_each(Node::kill)?;
                 run.wait_until(WINDOW[0] + GONE);
-                for name in names {
-                    if let Some(node) = run.nodes.get(name) {
-                        node.restart()?;
-                    }
-                }
+                run.nodes.0.iter_mut().filter(on_host).try_for_each(Node::restart)?;
                 Some(run.hardware.seconds())
             }
         };

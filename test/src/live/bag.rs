@@ -2,12 +2,12 @@
 //! of receipt.
 
 use super::{
-    hardware::{LEAD, Sent},
-    messages::truth,
+    hardware::LEAD,
     received::{Received, TopicLog},
     scenario::Scenario,
 };
 use bag::{BagError, BagWriter, Compression, Qos, Topic, WriteOptions};
+use nalgebra::Matrix6;
 use node_kit::convert;
 use rig_model::{ClimberSample, Stamp, topics::absolute as topics};
 use rig_simulator::inertial::Message as Sensed;
@@ -32,33 +32,29 @@ impl Run {
         Ok(Self { bag: BagWriter::create(path, options)?, entries: Vec::new(), begin })
     }
 
-    fn put_each<'m, M: Message + 'm>(
-        &mut self,
-        name: &str,
-        qos: &Qos,
-        messages: impl Iterator<Item = (Stamp, &'m M)>,
-    ) {
+    fn put<M: Message>(&mut self, name: &str, qos: &Qos, log: &TopicLog<M>) {
         let topic = self.bag.add_topic(Topic::of::<M>(name, qos));
-        let kept = messages.filter(|(at, _)| *at >= self.begin);
-        self.entries
-            .extend(kept.map(|(at, m)| (at.as_nanos().unsigned_abs(), topic, cdr::to_bytes(m))));
-    }
-
-    fn put<M: Message>(&mut self, name: &str, qos: &Qos, messages: &[(Stamp, M)]) {
-        self.put_each(name, qos, messages.iter().map(|(at, m)| (*at, m)));
-    }
-
-    fn put_log<M: Message>(&mut self, name: &str, qos: &Qos, log: &TopicLog<M>) {
-        self.put_each(name, qos, log.iter().map(|(at, m)| (*at, m.as_ref())));
+        let kept = log.iter().filter(|(at, _)| *at >= self.begin);
+        self.entries.extend(
+            kept.map(|(at, m)| (at.as_nanos().unsigned_abs(), topic, cdr::to_bytes(m.as_ref()))),
+        );
     }
 
     fn put_truth(&mut self, scenario: &Scenario, epoch: Stamp, lead: f64) {
         let count = ((scenario.duration() + lead) * TRUTH_RATE) as usize;
-        let times = (0..=count).map(|i| i as f64 / TRUTH_RATE - lead);
-        let poses: Vec<_> = times
-            .map(|t| (t, epoch.plus_seconds(t)))
-            .map(|(t, stamp)| (stamp, truth(scenario, t, stamp)))
-            .collect();
+        let (frames, none) = (&scenario.rig.frames, Matrix6::zeros());
+        let (world, volant) = (&frames.world, &frames.volant);
+        let truth = |i: usize| {
+            let t = i as f64 / TRUTH_RATE - lead;
+            let (stamp, k) = (epoch.plus_seconds(t), scenario.motion.kinematics(t));
+            let (pose, rate) = (&k.world_from_volant, &k.angular_velocity);
+            let velocity = pose.rotation.inverse() * k.velocity;
+            let message = convert::odometry_message(
+                world, volant, stamp, pose, &none, &velocity, rate, &none,
+            );
+            (stamp, Arc::new(message))
+        };
+        let poses: TopicLog<_> = (0..=count).map(truth).collect();
         self.put(topics::GROUND_TRUTH, RELIABLE, &poses);
     }
 
@@ -77,30 +73,29 @@ pub fn write(
     path: &Path,
     scenario: &Scenario,
     epoch: Stamp,
-    sent: &Sent,
     received: &Received,
 ) -> Result<(), BagError> {
     let begin = epoch.plus_seconds(-LEAD);
     let options = WriteOptions { compression: Compression::None, ..WriteOptions::default() };
     let mut run = Run::create(path, options, begin)?;
-    run.put(topics::COMPRESSED_IMAGE, SENSOR, &sent.images);
-    run.put(topics::CAMERA_INFO, SENSOR, &sent.camera_info);
-    run.put(topics::JOINT_STATES, RELIABLE, &sent.joints);
-    run.put_log(topics::IMU, SENSOR, &received.imu);
-    run.put_log(topics::CLIMBER_TRANSFORM, RELIABLE, &received.climber);
-    run.put_log(topics::MARKERS, RELIABLE, &received.markers);
-    run.put_log(topics::ODOMETRY, RELIABLE, &received.odometry);
-    run.put_log(topics::POSE, RELIABLE, &received.pose);
-    run.put_log(topics::STATUS, RELIABLE, &received.status);
-    run.put_log(topics::FUSED_POSE, RELIABLE, &received.fused_pose);
-    run.put_log(topics::VISUAL_POSE, RELIABLE, &received.visual_pose);
-    run.put_log(topics::MARKER_UPDATES, RELIABLE, &received.marker_updates);
-    run.put_log(topics::TF, RELIABLE, &received.tf);
-    run.put_log(topics::DIAGNOSTICS, RELIABLE, &received.diagnostics);
+    run.put(topics::COMPRESSED_IMAGE, SENSOR, &received.images);
+    run.put(topics::CAMERA_INFO, SENSOR, &received.camera_info);
+    run.put(topics::JOINT_STATES, RELIABLE, &received.joints);
+    run.put(topics::IMU, SENSOR, &received.imu);
+    run.put(topics::CLIMBER_TRANSFORM, RELIABLE, &received.climber);
+    run.put(topics::MARKERS, RELIABLE, &received.markers);
+    run.put(topics::ODOMETRY, RELIABLE, &received.odometry);
+    run.put(topics::POSE, RELIABLE, &received.pose);
+    run.put(topics::STATUS, RELIABLE, &received.status);
+    run.put(topics::FUSED_POSE, RELIABLE, &received.fused_pose);
+    run.put(topics::VISUAL_POSE, RELIABLE, &received.visual_pose);
+    run.put(topics::MARKER_UPDATES, RELIABLE, &received.marker_updates);
+    run.put(topics::TF, RELIABLE, &received.tf);
+    run.put(topics::DIAGNOSTICS, RELIABLE, &received.diagnostics);
     // Latched: received before the run, belonging into it.
     let fixed: Vec<_> =
         received.tf_static.iter().map(|(at, m)| ((*at).max(begin), Arc::clone(m))).collect();
-    run.put_log(topics::TF_STATIC, &Qos::LATCHED, &fixed);
+    run.put(topics::TF_STATIC, &Qos::LATCHED, &fixed);
     run.put_truth(scenario, epoch, LEAD);
     run.finish()
 }
@@ -120,14 +115,18 @@ pub fn from_sensors<M: Message>(
     let (mut imu, mut markers, mut poses) = (vec![], vec![], vec![]);
     for (at, message) in scenario.simulated_sensors().record() {
         match message {
-            Sensed::Imu(s) => imu.push((at, convert::imu_message(&frames.imu, &s, None, None))),
-            Sensed::Markers(o) => markers.push((at, convert::markers_message(&frames.camera, &o))),
+            Sensed::Imu(s) => {
+                imu.push((at, Arc::new(convert::imu_message(&frames.imu, &s, None, None))));
+            }
+            Sensed::Markers(o) => {
+                markers.push((at, Arc::new(convert::markers_message(&frames.camera, &o))));
+            }
             // Received when it was read: its driver is beside it.
-            Sensed::Climber(s) => poses.push((s.stamp, climber(&s))),
+            Sensed::Climber(s) => poses.push((s.stamp, Arc::new(climber(&s)))),
         }
     }
     let info = convert::camera_message(&frames.camera, epoch, &scenario.camera);
-    run.put(topics::CAMERA_INFO, SENSOR, &[(epoch, info)]);
+    run.put(topics::CAMERA_INFO, SENSOR, &vec![(epoch, Arc::new(info))]);
     run.put(topics::IMU, SENSOR, &imu);
     run.put(topic, RELIABLE, &poses);
     run.put(topics::MARKERS, RELIABLE, &markers);

@@ -5,6 +5,7 @@ pub use rustix::process::Signal;
 use rustix::process::{Pid, WaitOptions, kill_process, waitpid};
 use std::{
     collections::BTreeMap,
+    ffi::OsStr,
     fs::File,
     io,
     path::{Path, PathBuf},
@@ -83,7 +84,7 @@ impl Node {
     pub fn start(
         place: Option<&str>,
         name: &str,
-        arguments: &[String],
+        arguments: &[impl AsRef<OsStr>],
         environment: &[(String, String)],
         folder: &Path,
     ) -> Result<Self> {
@@ -199,22 +200,14 @@ impl Drop for Node {
 }
 
 #[derive(Debug, Default)]
-pub struct Nodes(Vec<Node>);
+pub struct Nodes(pub Vec<Node>);
 
 /// A node that was asked to end is given this time, s.
 const GRACE: u64 = 5;
 
 impl Nodes {
-    pub fn push(&mut self, node: Node) {
-        self.0.push(node);
-    }
-
     pub fn get(&mut self, name: &str) -> Option<&mut Node> {
         self.0.iter_mut().find(|n| n.name == name)
-    }
-
-    pub fn iter(&self) -> impl Iterator<Item = &Node> {
-        self.0.iter()
     }
 
     /// Fails with the first one that has ended.

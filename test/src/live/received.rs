@@ -1,6 +1,5 @@
-//! Messages of the nodes, each with its time of receipt.
+//! Messages of a run: of the nodes, each with its time of receipt, and of the simulated hardware.
 
-use crate::accuracy::Track;
 use nalgebra::Isometry3;
 use node_kit::convert::{self, covariance6, pose, stamp};
 use rig_model::{
@@ -8,19 +7,22 @@ use rig_model::{
     score::{Nees, PoseError},
 };
 use std::sync::Arc;
+use volant::report::Track;
 use volant_msgs::{
     diagnostic_msgs::msg::DiagnosticArray,
-    geometry_msgs::msg::{PoseWithCovarianceStamped, TransformStamped},
+    geometry_msgs::msg::{PoseWithCovariance, PoseWithCovarianceStamped, TransformStamped},
     msg::{MarkerObservations, MarkerUpdate, MarkerUpdates, PoseStatus},
     nav_msgs::msg::Odometry,
-    sensor_msgs::msg::Imu,
+    sensor_msgs::msg::{CameraInfo, CompressedImage, Imu, JointState},
+    std_msgs::msg::Header,
     tf2_msgs::msg::TFMessage,
 };
 
 /// Messages of one topic with their times of receipt.
 pub type TopicLog<M> = Vec<(Stamp, Arc<M>)>;
 
-/// Everything that was received, in order of receipt per topic, each under the topic's name.
+/// Everything that was received, in order of receipt per topic, each under the topic's name, and
+/// what the hardware sent.
 #[derive(Clone, Debug, Default)]
 pub struct Received {
     pub odometry: TopicLog<Odometry>,
@@ -37,22 +39,21 @@ pub struct Received {
     pub tf: TopicLog<TFMessage>,
     pub tf_static: TopicLog<TFMessage>,
     pub diagnostics: TopicLog<DiagnosticArray>,
+    /// What the hardware sent without a delay, with the times of its publication; nothing in an
+    /// endless run.
+    pub images: TopicLog<CompressedImage>,
+    pub camera_info: TopicLog<CameraInfo>,
+    pub joints: TopicLog<JointState>,
 }
 
 impl Received {
     pub fn fused(&self) -> Track {
-        let one = |(_, m): &(Stamp, Arc<Odometry>)| {
-            Some((stamp(&m.header.stamp), pose(&m.pose.pose, "pose").ok()?))
-        };
-        self.odometry.iter().filter_map(one).collect()
+        track(self.odometry.iter().map(|(_, m)| (&m.header, &m.pose)))
     }
 
     /// The poses from one image each.
     pub fn visual(&self) -> Track {
-        let one = |(_, m): &(Stamp, Arc<PoseWithCovarianceStamped>)| {
-            Some((stamp(&m.header.stamp), pose(&m.pose.pose, "pose").ok()?))
-        };
-        self.visual_pose.iter().filter_map(one).collect()
+        track(self.visual_pose.iter().map(|(_, m)| (&m.header, &m.pose)))
     }
 
     /// Odometry with true stamps after a run in which the clock was `ahead` seconds ahead for a
@@ -115,6 +116,10 @@ impl Received {
             })
             .collect()
     }
+}
+
+fn track<'m>(messages: impl Iterator<Item = (&'m Header, &'m PoseWithCovariance)>) -> Track {
+    messages.filter_map(|(at, m)| Some((stamp(&at.stamp), pose(&m.pose, "pose").ok()?))).collect()
 }
 
 /// The value below which the share `share` of the values lies; NaN of none.

@@ -1,11 +1,9 @@
 //! A run from start to clean end: hardware, four nodes, first fused pose, scenario, exit.
 
 use super::{
-    Host, ImageSequence, Node, Nodes, Received, Scenario, Sent, SettableClock, SimulatedHardware,
-    Site,
+    Host, ImageSequence, Node, Nodes, Received, Scenario, SettableClock, SimulatedHardware, Site,
 };
 use anyhow::{Context, Result, anyhow, bail, ensure};
-use node_kit::convert::stamp;
 use rig_model::Stamp;
 use std::{
     io,
@@ -15,7 +13,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-pub const NODES: [&str; 4] = ["climber_driver", "imu_driver", "marker_tracker", "pose_fusion"];
+const NODES: [&str; 4] = ["climber_driver", "imu_driver", "marker_tracker", "pose_fusion"];
 
 /// A running rig.
 pub struct Run {
@@ -23,20 +21,14 @@ pub struct Run {
     pub nodes: Nodes,
     /// Where logs, rig file and port are.
     pub folder: PathBuf,
-    domain: u16,
-    epoch: Option<Stamp>,
+    pub domain: u16,
     clock: Option<SettableClock>,
 }
 
 /// What is left of a run.
 #[derive(Debug)]
 pub struct Ended {
-    /// Stamp of the scenario's zero.
-    pub epoch: Stamp,
-    /// Messages of the nodes.
     pub received: Received,
-    /// Messages of the hardware.
-    pub sent: Sent,
     pub ends: Vec<(String, ExitStatus)>,
 }
 
@@ -72,10 +64,10 @@ impl Run {
                 vec![("ROS_DOMAIN_ID".to_owned(), site.network.domain_id.to_string())];
             environment.extend(clock.iter().flat_map(SettableClock::environment));
             let place = site.namespace_of(Host::of(name));
-            nodes.push(Node::start(place, name, &arguments, &environment, folder)?);
+            nodes.0.push(Node::start(place, name, &arguments, &environment, folder)?);
         }
         let domain = site.network.domain_id;
-        Ok(Self { hardware, nodes, folder: folder.to_owned(), domain, epoch: None, clock })
+        Ok(Self { hardware, nodes, folder: folder.to_owned(), domain, clock })
     }
 
     /// Sets the clock of the nodes, camera and encoders `ahead` seconds ahead of the true time.
@@ -83,10 +75,6 @@ impl Run {
         let clock = self.clock.as_ref().context("the site has no clock that can be set")?;
         self.hardware.set_clock(ahead);
         clock.set(ahead)
-    }
-
-    pub fn domain(&self) -> u16 {
-        self.domain
     }
 
     /// Waits until fused poses come, at most `seconds`.
@@ -121,9 +109,9 @@ impl Run {
         }
     }
 
-    /// Lets the scenario begin a second from now.
-    pub fn begin(&mut self) -> Stamp {
-        *self.epoch.insert(self.hardware.begin_in(1.0))
+    /// Lets the scenario begin a second from now; gives the stamp of its zero.
+    pub fn begin(&self) -> Stamp {
+        self.hardware.begin_in(1.0)
     }
 
     /// Waits until `seconds` of the scenario are over; calls `progress` with its time about ten
@@ -159,10 +147,7 @@ impl Run {
              again"
         );
         let ends = self.nodes.stop()?;
-        let received = self.hardware.received().clone();
-        let sent = self.hardware.sent();
-        let first =
-            received.odometry.first().map_or(Stamp::default(), |(_, m)| stamp(&m.header.stamp));
-        Ok(Ended { epoch: self.epoch.unwrap_or(first), received, sent, ends })
+        let received = self.hardware.take_received();
+        Ok(Ended { received, ends })
     }
 }

@@ -1,7 +1,7 @@
 //! What happens in a run: how the rig moves, what its sensors are like, when a marker is covered.
 
 use anyhow::{Context, Result};
-use nalgebra::{Isometry3, Vector2, Vector3};
+use nalgebra::Vector2;
 use rig_model::{CameraModel, Distortion, MarkerColor, Rig};
 use rig_simulator::{
     Covers, Instant, RIG_YAML, SceneConfig,
@@ -27,7 +27,6 @@ pub struct Cover {
 #[derive(Clone, Debug)]
 pub struct Scenario {
     pub rig: Rig,
-    pub rig_yaml: String,
     pub camera: CameraModel,
     /// Motion of the rig; stationary before zero.
     pub motion: Arc<Motion>,
@@ -66,7 +65,6 @@ impl Scenario {
         let colors = MarkerColor::ALL;
         Ok(Self {
             rig: Rig::from_yaml(RIG_YAML).context("the simulated rig's rig file")?,
-            rig_yaml: RIG_YAML.to_owned(),
             camera: CameraModel::new(640, 480, [591.322, 589.677, 319.275, 235.227], lens)
                 .context("the simulated rig's lens")?,
             motion: Arc::new(Motion::new(motion)),
@@ -82,10 +80,7 @@ impl Scenario {
     /// The rig file with the height of the climber, for all nodes.
     pub fn rig_file(&self) -> String {
         let height = self.motion.config().climber_height;
-        format!(
-            "{}\n/**/climber_driver:\n  ros__parameters:\n    height: {height:?}\n",
-            self.rig_yaml
-        )
+        format!("{RIG_YAML}\n/**/climber_driver:\n  ros__parameters:\n    height: {height:?}\n")
     }
 
     pub fn simulated_sensors(&self) -> Sensors<'_> {
@@ -102,16 +97,6 @@ impl Scenario {
             world_from_climber: self.motion.world_from_climber(t),
             world_from_volant: self.motion.world_from_volant(t),
         }
-    }
-
-    /// The truth: pose, and velocity and rate of turn in the volant frame.
-    pub fn truth(&self, t: f64) -> (Isometry3<f64>, Vector3<f64>, Vector3<f64>) {
-        let k = self.motion.kinematics(t);
-        (
-            k.world_from_volant,
-            k.world_from_volant.rotation.inverse() * k.velocity,
-            k.angular_velocity,
-        )
     }
 
     /// True centroid of a marker in the image at `t`, px; `None` where the camera cannot project

@@ -4,128 +4,95 @@
 use super::{
     Made, Value, axis,
     bars::{Bars, decades, draw_bars},
-    offline::{Recording, filter, fuse, published_tracker, record, record_observed, track},
-    write,
+    offline::{filter, fuse, record, track},
 };
 use crate::{
-    accuracy::{AXES, Errors, Track, UNITS, inertial_alone, six},
+    accuracy::{AXES, Errors, THRESHOLD, Track, UNITS, inertial_alone, six},
     live::{ImageSequence, Scenario},
 };
 use anyhow::Result;
-use nalgebra::Vector3;
-use pose_fusion::{FusionConfig, Model};
+use marker_tracker::{BinaryThreshold, Method, TrackerConfig};
+use nalgebra::Isometry3;
+use pose_fusion::Model;
 use rig_model::Stamp;
-use std::{fmt::Write, path::Path};
+use std::fmt::Write;
 use volant::report::{Color, Curve, Run, Table, colors, six_curves};
 
-/// Threshold control as published, m/s.
-const THRESHOLD: f64 = 1e-5;
-
 /// An estimator of Table II.
-pub struct Column {
+struct Column {
     /// Column of the CSV files.
-    pub key: &'static str,
+    key: &'static str,
     /// Name in the charts.
-    pub name: &'static str,
-    pub color: Color,
+    name: &'static str,
+    color: Color,
     /// Line width in Fig. 13, px; 0: dots.
     width: u32,
     track: Track,
 }
 
 /// The tracks of one run.
-pub struct Curves {
-    epoch: Stamp,
-    columns: Vec<Column>,
+pub struct Curves<'a> {
+    scenario: &'a Scenario,
+    columns: [Column; 6],
 }
 
-/// The published filter, optionally with its velocity from the fused poses.
-fn published_filter(scenario: &Scenario, velocity_from_fused: bool) -> FusionConfig {
-    let mut config = filter(scenario, Model::Paper);
-    config.paper.velocity_from_fused = velocity_from_fused;
-    config
-}
-
-impl Curves {
+impl<'a> Curves<'a> {
     /// Runs all estimators over the scenario.
-    pub fn of(scenario: &Scenario, images: &ImageSequence) -> Result<Self> {
-        let recording = record(scenario, images)?;
-        let published = record_observed(scenario, track(scenario, images, published_tracker())?);
-        let epoch = scenario.sensors.epoch;
-        let tight = fuse(scenario, &recording, filter(scenario, Model::Tight))?;
-        let fused = |recording: &Recording, velocity_from_fused: bool| {
-            let config = published_filter(scenario, velocity_from_fused);
-            fuse(scenario, recording, config).map(|poses| poses.fused)
-        };
+    pub fn of(scenario: &'a Scenario, images: &ImageSequence) -> Result<Self> {
+        let inputs = record(scenario, track(scenario, images, TrackerConfig::default())?);
+        // Binary images, flow and hue, eq. 3.
+        let method = Method::Paper(BinaryThreshold::default());
+        let published = TrackerConfig { method, ..TrackerConfig::default() };
+        let as_published = record(scenario, track(scenario, images, published)?);
+        let tight = fuse(scenario, &inputs, filter(scenario, Model::Tight))?;
+        let paper = fuse(scenario, &inputs, filter(scenario, Model::Paper))?.fused;
+        let whole = fuse(scenario, &as_published, filter(scenario, Model::Paper))?.fused;
+        let mut config = filter(scenario, Model::Paper);
+        config.paper.velocity_from_fused = true;
+        let corrected = fuse(scenario, &inputs, config)?.fused;
         // The IMU alone starts with the run, stationary.
-        let inertial = inertial_alone(
-            &recording.samples,
-            &scenario.rig.imu.volant_from_imu,
-            &(epoch, scenario.motion.world_from_volant(0.0)),
-            Vector3::zeros(),
-            scenario.sensors.gravity,
-            THRESHOLD,
-        );
+        let start = (scenario.sensors.epoch, scenario.motion.world_from_volant(0.0));
+        let samples = scenario.simulated_sensors().imu_samples();
+        let inertial = inertial_alone(scenario, &samples, &start, THRESHOLD);
         let column = |key, name, color, width, track| Column { key, name, color, width, track };
-        let columns = vec![
+        let columns = [
             column("camera", "camera alone", colors::CAMERA, 0, tight.visual),
             column("inertial", "IMU alone", colors::INERTIAL, 2, inertial),
-            column(
-                "paper",
-                "published filter, our tracker",
-                colors::PAPER,
-                2,
-                fused(&recording, false)?,
-            ),
+            column("paper", "published filter, our tracker", colors::PAPER, 2, paper),
             column("tight", "default filter", colors::FUSED, 3, tight.fused),
-            column(
-                "paper_whole",
-                "published system, whole",
-                colors::BROWN,
-                2,
-                fused(&published, false)?,
-            ),
+            column("paper_whole", "published system, whole", colors::BROWN, 2, whole),
             column(
                 "paper_velocity_from_fused",
                 "published filter, velocity from fused poses",
                 colors::VIOLET,
                 1,
-                fused(&recording, true)?,
+                corrected,
             ),
         ];
-        Ok(Self { epoch, columns })
+        Ok(Self { scenario, columns })
     }
 
-    /// Errors of each estimate after the first second.
-    fn errors(&self, scenario: &Scenario) -> Vec<(&Column, Errors)> {
-        let (from, to) =
-            (self.epoch.plus_seconds(1.0), self.epoch.plus_seconds(scenario.duration()));
-        let truth = |at: Stamp| scenario.motion.world_from_volant(at.seconds_since(self.epoch));
-        self.columns.iter().map(|c| (c, Errors::of(&c.track, from, to, truth))).collect()
+    /// Time since the start of the run, s.
+    fn seconds(&self, at: Stamp) -> f64 {
+        at.seconds_since(self.scenario.sensors.epoch)
     }
 
-    /// Writes `table-2.csv`.
-    pub fn table_2(&self, scenario: &Scenario, folder: &Path) -> Result<Made> {
-        let errors = self.errors(scenario);
-        let mut csv = String::from("axis");
-        for (column, _) in &errors {
-            let _ = write!(csv, ",{}", column.key);
-        }
-        csv.push('\n');
+    fn truth(&self, at: Stamp) -> Isometry3<f64> {
+        self.scenario.motion.world_from_volant(self.seconds(at))
+    }
+
+    pub fn table_2(&self) -> Made {
+        let (scenario, epoch) = (self.scenario, self.scenario.sensors.epoch);
+        // The first second is the filters' to settle.
+        let (from, to) = (epoch.plus_seconds(1.0), epoch.plus_seconds(scenario.duration()));
+        let errors =
+            self.columns.each_ref().map(|c| Errors::of(&c.track, from, to, |at| self.truth(at)));
+        let mut csv = format!("axis,{}\n", self.columns.each_ref().map(|c| c.key).join(","));
         for axis in [3, 4, 5, 0, 1, 2] {
-            let _ = write!(csv, "{}", AXES[axis]);
-            for (_, e) in &errors {
-                let _ = write!(csv, ",{:.6}", e.rmse[axis]);
-            }
-            csv.push('\n');
+            let cells = errors.each_ref().map(|e| format!("{:.6}", e.rmse[axis]));
+            let _ = writeln!(csv, "{},{}", AXES[axis], cells.join(","));
         }
-        let path = write(folder, "table-2.csv", &csv)?;
-        let svg = write(folder, "table-2.svg", &draw_errors(&errors))?;
-        let of = |key: &str| errors.iter().find(|(c, _)| c.key == key).map(|(_, e)| e);
-        let default = Errors::default();
-        let [camera, inertial, paper, tight, whole, corrected] =
-            ["camera", "inertial", "paper", "tight", "paper_whole", "paper_velocity_from_fused"]
-                .map(|key| of(key).unwrap_or(&default));
+        let [camera, inertial, paper, tight, whole, corrected] = &errors;
         let nearest = |mine: &Errors| {
             let names: Vec<&str> = (0..6)
                 .filter(|&i| mine.rmse[i] < camera.rmse[i].min(inertial.rmse[i]))
@@ -153,12 +120,12 @@ impl Curves {
                 format!("{unit_turns_better} of 3"),
             ),
         ];
-        Ok(Made {
+        Made {
             name: "table-2",
             title: "Table II: errors of camera, IMU, EKF and the default filter",
             table: Some(Table::from_csv(&csv, 3, true)),
-            csv: path,
-            svg,
+            csv,
+            svg: draw_errors(&self.columns, &errors),
             values,
             shows: format!(
                 "RMSE of each axis (degrees, millimeters) over {:.0} s of swing with one marker \
@@ -192,63 +159,54 @@ impl Curves {
                 tight.position_rmse,
                 tight.rotation_rmse,
             ),
-        })
+        }
     }
 
-    /// Writes `fig-13.csv` and `fig-13.svg`.
-    pub fn figure_13(&self, scenario: &Scenario, folder: &Path) -> Result<Made> {
-        let mut csv = String::from("seconds,estimate");
-        for (axis, unit) in AXES.iter().zip(UNITS) {
-            let _ = write!(csv, ",{axis}_{unit}");
-        }
-        csv.push('\n');
-        let mut line = |t: f64, name: &str, values: [f64; 6]| {
-            let _ = write!(csv, "{t:.4},{name}");
-            for v in values {
-                let _ = write!(csv, ",{v:.4}");
-            }
-            csv.push('\n');
+    pub fn figure_13(&self) -> Result<Made> {
+        let scenario = self.scenario;
+        let head: Vec<String> =
+            AXES.iter().zip(UNITS).map(|(axis, unit)| format!("{axis}_{unit}")).collect();
+        let mut csv = format!("seconds,estimate,{}\n", head.join(","));
+        let mut line = |t: f64, name: &str, pose: &Isometry3<f64>| {
+            let cells = six(pose).map(|v| format!("{v:.4}"));
+            let _ = writeln!(csv, "{t:.4},{name},{}", cells.join(","));
         };
         for i in 0..=(scenario.duration() * 30.0) as usize {
             let t = i as f64 / 30.0;
-            line(t, "truth", six(&scenario.motion.world_from_volant(t)));
+            line(t, "truth", &scenario.motion.world_from_volant(t));
         }
         for column in &self.columns {
             for (at, pose) in &column.track {
-                line(at.seconds_since(self.epoch), column.key, six(pose));
+                line(self.seconds(*at), column.key, pose);
             }
         }
-        let path = write(folder, "fig-13.csv", &csv)?;
         let shaded: Vec<[f64; 2]> = scenario.covers.iter().map(|c| c.seconds).collect();
         let curves: Vec<Curve<'_>> = self
             .columns
             .iter()
             .map(|c| Curve { name: c.name, track: &c.track, color: c.color, width: c.width })
             .collect();
-        let drawn = six_curves(
+        let svg = six_curves(
             &Run {
                 title: "Fig. 13: pose by camera, IMU, the published EKF and the default filter",
-                epoch: self.epoch,
+                epoch: scenario.sensors.epoch,
                 seconds: scenario.duration(),
                 truth: &|t| Some(scenario.motion.world_from_volant(t)),
                 shaded: &shaded,
             },
             &curves,
         )?;
-        let svg = write(folder, "fig-13.svg", &drawn)?;
         let left = |track: &Track| {
-            let off = |p: &&(Stamp, nalgebra::Isometry3<f64>)| {
-                let truth = scenario.motion.world_from_volant(p.0.seconds_since(self.epoch));
-                (p.1.translation.vector - truth.translation.vector).norm() > 0.1
+            let off = |(at, pose): &&(Stamp, Isometry3<f64>)| {
+                (pose.translation.vector - self.truth(*at).translation.vector).norm() > 0.1
             };
-            track.iter().find(off).map_or("never".to_owned(), |p| {
-                format!("after {:.1} s", p.0.seconds_since(self.epoch))
-            })
+            let after = |(at, _): &(Stamp, _)| format!("after {:.1} s", self.seconds(*at));
+            track.iter().find(off).map_or("never".to_owned(), after)
         };
         Ok(Made {
             name: "fig-13",
             title: "Fig. 13: x, y, z, roll, pitch, yaw against the truth",
-            csv: path,
+            csv,
             svg,
             table: None,
             values: self
@@ -283,10 +241,10 @@ impl Curves {
 }
 
 /// The six errors on logarithmic scales: rotations above, positions below.
-fn draw_errors(errors: &[(&Column, Errors)]) -> String {
+fn draw_errors(columns: &[Column], errors: &[Errors]) -> String {
     let rows: Vec<(String, Color)> =
-        errors.iter().map(|(column, _)| (column.name.to_owned(), column.color)).collect();
-    let of = |axis: usize| errors.iter().map(move |(_, e)| e.rmse[axis]);
+        columns.iter().map(|column| (column.name.to_owned(), column.color)).collect();
+    let of = |axis: usize| errors.iter().map(move |e| e.rmse[axis]);
     let panels = [3, 4, 5, 0, 1, 2].map(|i| {
         let half = i / 3 * 3;
         let range = decades((half..half + 3).flat_map(of));

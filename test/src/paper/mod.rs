@@ -14,8 +14,6 @@ pub mod report;
 pub mod stages;
 pub mod stationary;
 
-use anyhow::{Context, Result};
-use std::path::{Path, PathBuf};
 use volant::report::{Axis, Color, Series, Shape, Table};
 
 /// What can be made, in the order of the paper.
@@ -47,8 +45,10 @@ pub struct Made {
     /// As in the contract: `table-2`, `fig-13`, …
     pub name: &'static str,
     pub title: &'static str,
-    pub csv: PathBuf,
-    pub svg: PathBuf,
+    /// Text of `NAME.csv`.
+    pub csv: String,
+    /// Text of `NAME.svg`.
+    pub svg: String,
     /// Numbers for the report below the image.
     pub table: Option<Table>,
     /// Published values beside those found here.
@@ -78,16 +78,4 @@ fn table<const N: usize>(head: [&str; N], rows: impl IntoIterator<Item = [String
     let mut table = Table { head: head.map(str::to_owned).to_vec(), rows: Vec::new() };
     rows.into_iter().for_each(|row| table.push(row.to_vec()));
     table
-}
-
-/// Writes a file in a folder and returns its path; names it where that fails.
-pub(crate) fn write(folder: &Path, name: &str, text: &str) -> Result<PathBuf> {
-    let path = folder.join(name);
-    std::fs::write(&path, text).with_context(|| path.display().to_string())?;
-    Ok(path)
-}
-
-/// Reads a file, and names it where that fails.
-pub(crate) fn read(path: &Path) -> Result<String> {
-    std::fs::read_to_string(path).with_context(|| path.display().to_string())
 }

@@ -3,10 +3,9 @@
 
 use super::{
     Made, Value, axis,
-    offline::{filter, fuse, record_observed, track},
+    offline::{filter, fuse, record, track},
     series,
     stages::{chart_color, rgb_of},
-    write,
 };
 use crate::{
     accuracy::{Track, distance},
@@ -17,53 +16,46 @@ use marker_tracker::TrackerConfig;
 use nalgebra::Vector2;
 use pose_fusion::Model;
 use rig_model::{MarkerColor, MarkerObservations, MarkerState};
-use std::{fmt::Write, path::Path};
+use std::fmt::Write;
 use volant::report::{Anchor, Drawing, Panel, Shape, Sheet, colors, panels};
 
+const TITLE: &str = "Fig. 6: an occluded marker";
 /// Length of the run, s.
 const SECONDS: f64 = 8.0;
 /// Names in the legend.
 const WITH: &str = "published pose with eq. 3";
 const WITHOUT: &str = "published pose without eq. 3";
 
-/// Makes `fig-6.csv` and `fig-6.svg`.
-pub fn figure_6(
-    seed: u64,
-    folder: &Path,
-    threads: usize,
-    progress: impl Fn(f64) + Sync,
-) -> Result<Made> {
+pub fn figure_6(seed: u64, threads: usize, progress: impl Fn(f64) + Sync) -> Result<Made> {
     let scenario = Scenario::swing(seed, SECONDS)?;
     let images = ImageSequence::render(&scenario, threads, |done, of| {
         progress(done as f64 / of.max(1) as f64)
     })
     .context("an image")?;
     let observed = track(&scenario, &images, TrackerConfig::default())?;
-    let as_published = track(
-        &scenario,
-        &images,
-        TrackerConfig { rigid_prediction: false, ..TrackerConfig::default() },
-    )?;
+    let mean_flow = TrackerConfig { rigid_prediction: false, ..TrackerConfig::default() };
+    let as_published = track(&scenario, &images, mean_flow)?;
     let cover = scenario.covers.first().copied().context("nothing is covered")?;
     let run = |observed: &[MarkerObservations], model| {
-        let recording = record_observed(&scenario, observed.to_vec());
-        fuse(&scenario, &recording, filter(&scenario, model))
+        fuse(&scenario, &record(&scenario, observed.to_vec()), filter(&scenario, model))
     };
     let places = [&observed, &as_published].map(|o| place_errors(&scenario, o, cover.color));
-    let poses = PoseErrors {
-        with: errors(&scenario, &run(&as_published, Model::Paper)?.visual),
-        without: errors(&scenario, &run(&without_predicted(&as_published), Model::Paper)?.visual),
-        fused: errors(&scenario, &run(&observed, Model::Tight)?.fused),
-    };
+    // The published pose with and without the predicted position, and the default filter's.
+    let poses = [
+        run(&as_published, Model::Paper)?.visual,
+        run(&without_predicted(&as_published), Model::Paper)?.visual,
+        run(&observed, Model::Tight)?.fused,
+    ]
+    .map(|track| errors(&scenario, &track));
+    let [with, without, fused] = &poses;
     let mut csv = String::from(concat!(
         "seconds,state,place_error_px,place_error_mean_flow_px,",
         "with_eq_3_mm,with_eq_3_deg,without_eq_3_mm,without_eq_3_deg,fused_mm,fused_deg\n"
     ));
     for (ours, mean) in places[0].iter().zip(&places[1]) {
         let _ = write!(csv, "{:.4},{}", ours.0, format!("{:?}", ours.1).to_lowercase());
-        let [with, without, fused] =
-            [&poses.with, &poses.without, &poses.fused].map(|rows| at(rows, ours.0));
-        for v in [ours.2, mean.2, with[0], with[1], without[0], without[1], fused[0], fused[1]] {
+        let errors = poses.iter().flat_map(|rows| at(rows, ours.0));
+        for v in [ours.2, mean.2].into_iter().chain(errors) {
             if v.is_finite() {
                 let _ = write!(csv, ",{v:.4}");
             } else {
@@ -72,10 +64,7 @@ pub fn figure_6(
         }
         csv.push('\n');
     }
-    let path = write(folder, "fig-6.csv", &csv)?;
-
     let [from, to] = cover.seconds;
-    let svg = write(folder, "fig-6.svg", &draw(&scenario, &images, &observed, &places, &poses)?)?;
     // Images whose hidden marker has a predicted position.
     let predicted = |places: &[Place]| -> Vec<Place> {
         let it = |p: &&Place| p.1 == MarkerState::Predicted && p.2.is_finite();
@@ -96,23 +85,19 @@ pub fn figure_6(
         .find(|p| p.0 > to && p.1 == MarkerState::Detected)
         .map_or(f64::NAN, |p| p.0 - to);
     let cell = |rows: &[[f64; 3]]| format!("{:.2} mm, {:.3}°", rms(rows, 0), rms(rows, 1));
-    let visible = format!("{:.2} mm, {:.3}°", before(&poses.with, 0), before(&poses.with, 1));
+    let visible = format!("{:.2} mm, {:.3}°", before(with, 0), before(with, 1));
     Ok(Made {
         name: "fig-6",
-        title: "Fig. 6: an occluded marker",
-        csv: path,
-        svg,
+        title: TITLE,
+        csv,
+        svg: draw(&scenario, &images, &observed, &places, &poses)?,
         table: None,
         values: vec![
             Value::new("images with a predicted position", "6", times.len().to_string()),
             Value::new("pose from one image, four visible markers (RMS)", "–", visible),
-            Value::new(
-                "the same in those images, with eq. 3 (RMS)",
-                "barely changed",
-                cell(&poses.with),
-            ),
-            Value::new("the same without eq. 3, three markers (RMS)", "–", cell(&poses.without)),
-            Value::new("default filter (RMS)", "–", cell(&poses.fused)),
+            Value::new("the same in those images, with eq. 3 (RMS)", "barely changed", cell(with)),
+            Value::new("the same without eq. 3, three markers (RMS)", "–", cell(without)),
+            Value::new("default filter (RMS)", "–", cell(fused)),
         ],
         shows: format!(
             "A plank slides over the {} marker for {:.1} s. The tracker reports it as PREDICTED in \
@@ -135,16 +120,6 @@ pub fn figure_6(
             worst(&places[0]),
         ),
     })
-}
-
-/// Errors of three poses: seconds, mm and degrees.
-struct PoseErrors {
-    /// Published pose with the predicted position.
-    with: Vec<[f64; 3]>,
-    /// Published pose without it.
-    without: Vec<[f64; 3]>,
-    /// Default filter.
-    fused: Vec<[f64; 3]>,
 }
 
 /// The error in mm and degrees at an image, NaN where there is no pose.
@@ -207,12 +182,12 @@ fn draw(
     images: &ImageSequence,
     observed: &[MarkerObservations],
     places: &[Vec<Place>; 2],
-    poses: &PoseErrors,
+    [with, without, fused]: &[Vec<[f64; 3]>; 3],
 ) -> Result<String> {
     let cover = scenario.covers[0];
     let [from, to] = cover.seconds;
     let mut d = Drawing::new(1120.0);
-    d.text(24.0, 34.0, 20.0, colors::INK, Anchor::Start, "Fig. 6: an occluded marker");
+    d.text(24.0, 34.0, 20.0, colors::INK, Anchor::Start, TITLE);
     let first = |state: MarkerState, after: f64| {
         places[0].iter().position(|p| p.0 >= after && p.1 == state).unwrap_or(0)
     };
@@ -272,7 +247,7 @@ fn draw(
     let errors = |title: &str, unit: &str, c: usize| {
         // Space for the largest error of the span.
         let within = |r: &&[f64; 3]| (span[0]..span[1]).contains(&r[0]);
-        let rows = poses.with.iter().chain(&poses.without).filter(within);
+        let rows = with.iter().chain(without).filter(within);
         let top = 1.2 * rows.map(|r| r[c]).fold(0.1, f64::max);
         Panel {
             title: title.into(),
@@ -280,9 +255,9 @@ fn draw(
             y: axis(format!("error [{unit}]"), [0.0, top], false),
             series: vec![
                 covered(top, 0.0),
-                series(WITHOUT, colors::CAMERA, Shape::Line(3), column(&poses.without, c)),
-                series(WITH, colors::PAPER, Shape::Line(1), column(&poses.with, c)),
-                series("default filter", colors::FUSED, Shape::Line(2), column(&poses.fused, c)),
+                series(WITHOUT, colors::CAMERA, Shape::Line(3), column(without, c)),
+                series(WITH, colors::PAPER, Shape::Line(1), column(with, c)),
+                series("default filter", colors::FUSED, Shape::Line(2), column(fused, c)),
             ],
         }
     };
@@ -304,5 +279,5 @@ fn draw(
         &[position, errors("translation", "mm", 1), errors("rotation", "deg", 2)],
     )?;
     d.embed(0.0, bottom + 4.0, &svg);
-    Ok(d.finish(bottom + 440.0, "Fig. 6: an occluded marker"))
+    Ok(d.finish(bottom + 440.0, TITLE))
 }

@@ -6,18 +6,10 @@ use crate::{
     live::{ImageSequence, Scenario},
 };
 use anyhow::{Context, Result, ensure};
-use marker_tracker::{BinaryThreshold, Method, Tracker, TrackerConfig};
-use pose_fusion::{Fusion, FusionConfig, Model, Output};
-use rig_model::{ImuSample, MarkerObservations, Stamp};
+use marker_tracker::{Tracker, TrackerConfig};
+use pose_fusion::{Fusion, FusionConfig, Input, Model, Output};
+use rig_model::MarkerObservations;
 use rig_simulator::{inertial::Message, random::Random};
-
-/// What the filter is fed with.
-pub struct Recording {
-    /// Inputs with their arrivals, in order of arrival.
-    pub inputs: Vec<(Stamp, pose_fusion::Input)>,
-    /// The IMU samples alone.
-    pub samples: Vec<ImuSample>,
-}
 
 /// Tracks the images' markers.
 pub fn track(
@@ -42,19 +34,10 @@ pub fn track(
     Ok(observations)
 }
 
-/// All that arrives at the filter during a scenario.
-pub fn record(scenario: &Scenario, images: &ImageSequence) -> Result<Recording> {
-    Ok(record_observed(scenario, track(scenario, images, TrackerConfig::default())?))
-}
-
-/// The same with markers that were tracked already.
-pub fn record_observed(scenario: &Scenario, observed: Vec<MarkerObservations>) -> Recording {
+/// All that arrives at the filter during a scenario with these markers, in order of arrival.
+pub fn record(scenario: &Scenario, observed: Vec<MarkerObservations>) -> Vec<Input> {
     let sensors = scenario.simulated_sensors();
     let mut messages = sensors.imu();
-    let samples = messages
-        .iter()
-        .filter_map(|(_, m)| if let Message::Imu(s) = m { Some(*s) } else { None })
-        .collect();
     messages.extend(sensors.climber());
     let mut random = Random::fork(scenario.sensors.seed, "image delay");
     let [shortest, longest] = scenario.sensors.image_delay;
@@ -63,19 +46,13 @@ pub fn record_observed(scenario: &Scenario, observed: Vec<MarkerObservations>) -
         messages.push((arrival, Message::Markers(observations)));
     }
     messages.sort_by_key(|(arrival, _)| *arrival);
-    let inputs = messages.into_iter().map(|(arrival, message)| (arrival, message.into()));
-    Recording { inputs: inputs.collect(), samples }
+    messages.into_iter().map(|(_, message)| message.into()).collect()
 }
 
 /// The filter's poses, and those from one image each.
 pub struct Poses {
     pub fused: Track,
     pub visual: Track,
-}
-
-/// Settings of the published tracker: binary images, flow and hue, eq. 3.
-pub fn published_tracker() -> TrackerConfig {
-    TrackerConfig { method: Method::Paper(BinaryThreshold::default()), ..TrackerConfig::default() }
 }
 
 /// Defaults of a filter, with the gravity of the scenario.
@@ -85,13 +62,13 @@ pub fn filter(scenario: &Scenario, model: Model) -> FusionConfig {
     config
 }
 
-pub fn fuse(scenario: &Scenario, recording: &Recording, config: FusionConfig) -> Result<Poses> {
+pub fn fuse(scenario: &Scenario, inputs: &[Input], config: FusionConfig) -> Result<Poses> {
     let model = config.model;
     let mut fusion = Fusion::new(scenario.rig.clone(), config);
-    fusion.handle(pose_fusion::Input::Camera(scenario.camera.clone()));
+    fusion.handle(Input::Camera(scenario.camera.clone()));
     let mut poses = Poses { fused: Track::new(), visual: Track::new() };
     let mut warnings = Vec::new();
-    for (_, input) in &recording.inputs {
+    for input in inputs {
         fusion.handle(input.clone());
         while let Some(output) = fusion.poll() {
             match output {

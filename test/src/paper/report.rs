@@ -1,33 +1,22 @@
 //! The page that shows what was made.
 
-use super::{Made, read, table, write};
-use anyhow::Result;
-use std::path::Path;
+use super::{Made, table};
 use volant::report::{Block, Page, Section};
 
 pub const TITLE: &str = "Published figures and tables, reproduced";
 
-/// Writes `report.html` with every figure and table in it.
-pub fn write_report(
-    folder: &Path,
-    facts: &[(String, String)],
-    made: &[Made],
-    missing: &[(&str, String)],
-) -> Result<()> {
+/// The text of `report.html`, with every figure and table in it.
+pub fn render(facts: Vec<(String, String)>, made: &[Made], missing: &[(&str, String)]) -> String {
     let mut sections = Vec::new();
     for m in made {
         let mut blocks =
-            vec![Block::labelled("What it shows.", &m.shows), Block::Figure(read(&m.svg)?)];
+            vec![Block::labelled("What it shows.", &m.shows), Block::Figure(m.svg.clone())];
         blocks.extend(m.table.clone().map(Block::Table));
         let rows = m.values.iter().map(|v| [&v.what, &v.published, &v.here].map(String::clone));
         blocks.push(Block::Table(table(["quantity", "published", "here"], rows)));
         blocks.push(Block::labelled("Against the published one.", &m.published));
-        let name =
-            |p: &Path| p.file_name().map(|f| f.to_string_lossy().into_owned()).unwrap_or_default();
         blocks.push(Block::Note(format!(
-            "Numbers: `{}`. Image: `{}`. Alone: `volant reproduce {} --out DIR`.",
-            name(&m.csv),
-            name(&m.svg),
+            "Numbers: `{0}.csv`. Image: `{0}.svg`. Alone: `volant reproduce {0} --out DIR`.",
             m.name
         )));
         sections.push(Section { id: m.name.to_owned(), title: m.title.to_owned(), blocks });
@@ -53,8 +42,8 @@ pub fn write_report(
                same footprint and under the same light. Where a peer is better, it is named. A \
                dash stands where nothing is published, or only as an image without numbers."
             .into(),
-        facts: facts.to_vec(),
+        facts,
         sections,
     };
-    write(folder, "report.html", &page.render()).map(drop)
+    page.render()
 }

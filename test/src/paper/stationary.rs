@@ -1,39 +1,27 @@
 //! Fig. 9: the translation of a stationary IMU, with and without threshold control.
 
-use super::{Made, Value, axis, series, table, write};
+use super::{Made, Value, axis, series, table};
 use crate::{
-    accuracy::{Track, inertial_alone},
+    accuracy::{THRESHOLD, Track, inertial_alone},
     live::Scenario,
 };
 use anyhow::Result;
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Point3};
 use rig_simulator::motion::MotionConfig;
-use std::{fmt::Write, path::Path};
+use std::fmt::Write;
 use volant::report::{Panel, Shape, Sheet, colors, panels};
 
-/// The published threshold, m/s.
-const LITERAL: f64 = 1e-5;
 /// How long it is watched, s.
 const SECONDS: f64 = 20.0;
 /// A position that is off by less than this after that time is held, mm.
 const HELD: f64 = 1.0;
 
-/// Makes `fig-9.csv` and `fig-9.svg`.
-pub fn figure_9(seed: u64, folder: &Path) -> Result<Made> {
+pub fn figure_9(seed: u64) -> Result<Made> {
     let scenario = Scenario::new(MotionConfig { duration: SECONDS, ..MotionConfig::rest(seed) })?;
     let samples = scenario.simulated_sensors().imu_samples();
     let epoch = scenario.sensors.epoch;
     let start = (epoch, scenario.motion.world_from_volant(0.0));
-    let with = |threshold: f64| -> Track {
-        inertial_alone(
-            &samples,
-            &scenario.rig.imu.volant_from_imu,
-            &start,
-            Vector3::zeros(),
-            scenario.sensors.gravity,
-            threshold,
-        )
-    };
+    let with = |threshold: f64| inertial_alone(&scenario, &samples, &start, threshold);
     // The IMU's attitude error varies, and with it the lever arm to the platform's origin: that is
     // not drift.
     let lever = Point3::from(scenario.rig.imu.volant_from_imu.translation.vector);
@@ -43,9 +31,9 @@ pub fn figure_9(seed: u64, folder: &Path) -> Result<Made> {
         track.iter().map(|(at, pose)| (at.seconds_since(epoch), off(pose))).collect()
     };
     let furthest = |curve: &[(f64, f64)]| curve.iter().map(|(_, d)| *d).fold(0.0, f64::max);
-    let (without, literal) = (off(&with(0.0)), off(&with(LITERAL)));
+    let (without, literal) = (off(&with(0.0)), off(&with(THRESHOLD)));
     // The smallest of a fine ladder of thresholds that holds the position from there on.
-    let mut smallest = LITERAL;
+    let mut smallest = THRESHOLD;
     let mut held = literal.clone();
     while furthest(&held) > HELD && smallest < 1.0 {
         smallest *= 1.05;
@@ -57,16 +45,14 @@ pub fn figure_9(seed: u64, folder: &Path) -> Result<Made> {
     for ((a, b), c) in without.iter().zip(&literal).zip(&held) {
         let _ = writeln!(csv, "{:.4},{:.4},{:.4},{:.4},{smallest:.3e}", a.0, a.1, b.1, c.1);
     }
-    let path = write(folder, "fig-9.csv", &csv)?;
-    let svg = write(folder, "fig-9.svg", &draw(&without, &literal, &held, smallest)?)?;
     let row = |threshold: &str, curve: &[(f64, f64)]| {
         [threshold.to_owned(), format!("{:.1}", furthest(curve))]
     };
     Ok(Made {
         name: "fig-9",
         title: "Fig. 9: translation while stationary, with and without threshold control",
-        csv: path,
-        svg,
+        csv,
+        svg: draw(&without, &literal, &held, smallest)?,
         table: Some(table(
             ["threshold", &format!("furthest within {SECONDS:.0} s [mm]")],
             [
@@ -102,7 +88,7 @@ pub fn figure_9(seed: u64, folder: &Path) -> Result<Made> {
              smallest threshold that holds corresponds to {:.2} m/s² and hides slow motion as \
              well.",
             scenario.sensors.imu_rate,
-            LITERAL * scenario.sensors.imu_rate,
+            THRESHOLD * scenario.sensors.imu_rate,
             smallest * scenario.sensors.imu_rate,
         ),
     })

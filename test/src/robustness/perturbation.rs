@@ -286,36 +286,24 @@ impl Perturbation {
     }
 }
 
-pub(crate) fn each_imu(recording: &mut Recording, mut change: impl FnMut(&mut ImuSample)) {
-    for (_, input) in &mut recording.inputs {
-        if let Input::Imu(sample) = input {
-            change(sample);
-        }
-    }
+/// Functions that change every input of one kind.
+macro_rules! each {
+    ($($name:ident: $kind:ident($input:ty);)*) => {
+        $(pub(crate) fn $name(recording: &mut Recording, mut change: impl FnMut(&mut $input)) {
+            for (_, input) in &mut recording.inputs {
+                if let Input::$kind(input) = input {
+                    change(input);
+                }
+            }
+        })*
+    };
 }
 
-pub(crate) fn each_climber(recording: &mut Recording, mut change: impl FnMut(&mut ClimberSample)) {
-    for (_, input) in &mut recording.inputs {
-        if let Input::Climber(sample) = input {
-            change(sample);
-        }
-    }
-}
-
-fn each_image(recording: &mut Recording, mut change: impl FnMut(&mut MarkerObservations)) {
-    for (_, input) in &mut recording.inputs {
-        if let Input::Markers(image) = input {
-            change(image);
-        }
-    }
-}
-
-pub(crate) fn each_camera(recording: &mut Recording, mut change: impl FnMut(&mut CameraModel)) {
-    for (_, input) in &mut recording.inputs {
-        if let Input::Camera(camera) = input {
-            change(camera);
-        }
-    }
+each! {
+    each_imu: Imu(ImuSample);
+    each_climber: Climber(ClimberSample);
+    each_image: Markers(MarkerObservations);
+    each_camera: Camera(CameraModel);
 }
 
 /// Holds back the IMU's samples until `count` are there, and stamps them then, 0.1 ms apart.

@@ -54,7 +54,7 @@ pub struct Instances {
 
 impl Instances {
     pub fn sample(&mut self, nodes: &Nodes, now: f64) {
-        for node in nodes.iter() {
+        for node in &nodes.0 {
             self.note(&node.name, node.id(), node.resident_bytes(), node.threads(), now);
         }
     }

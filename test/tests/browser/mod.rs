@@ -12,6 +12,7 @@ use std::{
     path::{Path, PathBuf},
     process::{Child, ChildStdin, ChildStdout, Command, Stdio},
 };
+use tempfile::TempDir;
 
 /// Names under which Chromium is installed.
 const NAMES: [&str; 5] = [
@@ -42,13 +43,13 @@ pub struct Browser {
     session: String,
     /// Every event since the page was opened.
     pub events: Vec<Value>,
-    profile: PathBuf,
+    _profile: TempDir,
 }
 
 impl Browser {
     /// Starts it with an empty page of `width`×`height` px.
     pub fn start(program: &Path, width: u32, height: u32) -> Self {
-        let profile = std::env::temp_dir().join(format!("volant-browser-{}", std::process::id()));
+        let profile = tempfile::tempdir().unwrap();
         // The browser uses descriptors 3 and 4, to which the shell connects its own pipes.
         let mut child = Command::new("sh")
             .args(["-c", "exec \"$0\" \"$@\" 3<&0 4>&1 </dev/null >/dev/null 2>&1"])
@@ -61,7 +62,7 @@ impl Browser {
                 "--hide-scrollbars",
             ])
             .arg("--remote-debugging-pipe")
-            .arg(format!("--user-data-dir={}", profile.display()))
+            .arg(format!("--user-data-dir={}", profile.path().display()))
             .arg(format!("--window-size={width},{height}"))
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
@@ -69,8 +70,8 @@ impl Browser {
             .unwrap();
         let (to, from) =
             (child.stdin.take().unwrap(), BufReader::new(child.stdout.take().unwrap()));
-        let mut browser =
-            Self { child, to, from, next: 0, session: String::new(), events: Vec::new(), profile };
+        let (session, events) = (String::new(), Vec::new());
+        let mut browser = Self { child, to, from, next: 0, session, events, _profile: profile };
         // Newer Chromium rejects a size or position for a target without a window of its own.
         let target = browser.call("Target.createTarget", json!({"url": "about:blank"}));
         let attach = json!({"targetId": target["targetId"], "flatten": true});
@@ -135,6 +136,5 @@ impl Drop for Browser {
     fn drop(&mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();
-        let _ = std::fs::remove_dir_all(&self.profile);
     }
 }

@@ -22,78 +22,28 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 
-@dataclass
-class Time_(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):
-    sec: int32
-    nanosec: uint32
-
-
-@dataclass
-class Header_(IdlStruct, typename="std_msgs::msg::dds_::Header_"):
-    stamp: Time_
-    frame_id: str
-
-
-@dataclass
-class Point_(IdlStruct, typename="geometry_msgs::msg::dds_::Point_"):
-    x: float64
-    y: float64
-    z: float64
-
-
-@dataclass
-class Vector3_(IdlStruct, typename="geometry_msgs::msg::dds_::Vector3_"):
-    x: float64
-    y: float64
-    z: float64
-
-
-@dataclass
-class Quaternion_(IdlStruct, typename="geometry_msgs::msg::dds_::Quaternion_"):
-    x: float64
-    y: float64
-    z: float64
-    w: float64
-
-
-@dataclass
-class Pose_(IdlStruct, typename="geometry_msgs::msg::dds_::Pose_"):
-    position: Point_
-    orientation: Quaternion_
-
-
-@dataclass
-class PoseWithCovariance_(IdlStruct, typename="geometry_msgs::msg::dds_::PoseWithCovariance_"):
-    pose: Pose_
-    covariance: array[float64, 36]
-
-
+# CDR puts nested structures in line: a header is three fields, a pose seven numbers.
 @dataclass
 class PoseWithCovarianceStamped_(
     IdlStruct, typename="geometry_msgs::msg::dds_::PoseWithCovarianceStamped_",
 ):
-    header: Header_
-    pose: PoseWithCovariance_
-
-
-@dataclass
-class Twist_(IdlStruct, typename="geometry_msgs::msg::dds_::Twist_"):
-    linear: Vector3_
-    angular: Vector3_
-
-
-@dataclass
-class TwistWithCovariance_(IdlStruct, typename="geometry_msgs::msg::dds_::TwistWithCovariance_"):
-    twist: Twist_
+    sec: int32
+    nanosec: uint32
+    frame_id: str
+    pose: array[float64, 7]
     covariance: array[float64, 36]
 
 
 @dataclass
 class Odometry_(IdlStruct, typename="nav_msgs::msg::dds_::Odometry_"):
-    header: Header_
+    sec: int32
+    nanosec: uint32
+    frame_id: str
     child_frame_id: str
-    pose: PoseWithCovariance_
-    twist: TwistWithCovariance_
+    pose: array[float64, 7]
+    covariance: array[float64, 36]
+    twist: array[float64, 6]
+    twist_covariance: array[float64, 36]
 
 
 @dataclass
@@ -109,20 +59,18 @@ class MarkerObservation_(IdlStruct, typename="volant_msgs::msg::dds_::MarkerObse
 
 @dataclass
 class MarkerObservations_(IdlStruct, typename="volant_msgs::msg::dds_::MarkerObservations_"):
-    header: Header_
+    sec: int32
+    nanosec: uint32
+    frame_id: str
     markers: sequence[MarkerObservation_]
-
-
-def of_pose(message):
-    p, q = message.pose.pose.position, message.pose.pose.orientation
-    return [p.x, p.y, p.z, q.x, q.y, q.z, q.w, *message.pose.covariance]
 
 
 TOPICS = {
     "volant/odometry": (
-    Odometry_, lambda m: [*of_pose(m), m.twist.twist.linear.x, m.twist.twist.angular.z],
+        Odometry_,
+        lambda m: [*m.pose, *m.covariance, m.twist[0], m.twist[5]],
     ),
-    "volant/fused_pose": (PoseWithCovarianceStamped_, of_pose),
+    "volant/fused_pose": (PoseWithCovarianceStamped_, lambda m: [*m.pose, *m.covariance]),
     "climber/markers": (
         MarkerObservations_,
         lambda m: [
@@ -155,11 +103,10 @@ def main():
             for message in reader.take(N=200):
                 if isinstance(message, InvalidSample):
                     continue
-                stamp = message.header.stamp
                 line = {
                     "topic": name,
-                    "stamp": stamp.sec * 10**9 + stamp.nanosec,
-                    "frame": message.header.frame_id,
+                    "stamp": message.sec * 10**9 + message.nanosec,
+                    "frame": message.frame_id,
                     # As text: exact, and NaN has one.
                     "values": [repr(float(v)) for v in values(message)],
                 }

@@ -21,7 +21,12 @@ use rig_model::{
 };
 use serde::Serialize;
 use std::path::PathBuf;
-use volant_msgs::{cdr, geometry_msgs::msg::PoseWithCovarianceStamped, nav_msgs::msg::Odometry};
+use volant_msgs::{
+    cdr,
+    geometry_msgs::msg::{PoseWithCovariance, PoseWithCovarianceStamped},
+    nav_msgs::msg::Odometry,
+    std_msgs::msg::Header,
+};
 
 /// Shortest gap that is counted, s.
 const GAP: f64 = 0.030;
@@ -85,6 +90,9 @@ pub struct Quality {
     pub without_covariance: u64,
     /// Number of estimates at times without truth.
     pub without_truth: u64,
+    /// The poses, `world_from_volant`, for figures.
+    #[serde(skip)]
+    pub track: Track,
 }
 
 /// Result of an evaluation.
@@ -94,19 +102,11 @@ pub struct Evaluation {
     pub estimates: Vec<Quality>,
     /// Losses in the bags, one sentence each.
     pub losses: Vec<String>,
-    /// The poses, for figures.
-    #[serde(skip)]
-    pub tracks: Tracks,
-}
-
-/// Compared poses.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Tracks {
     /// Start of the run: the first stamp that both bags cover.
+    #[serde(skip)]
     pub began: Stamp,
-    /// Topic and poses, `world_from_volant`, as in [`Evaluation::estimates`].
-    pub estimates: Vec<(String, Track)>,
     /// The truth.
+    #[serde(skip)]
     pub truth: Truth,
 }
 
@@ -168,24 +168,19 @@ pub fn evaluate(options: &EvaluateOptions) -> anyhow::Result<Evaluation> {
     let began = first_logged.zip(logged_early);
     let began = began.map_or(from, |(at, early)| Stamp::from_nanos(at.saturating_add(early)));
     let began = began.max(from);
-    let mut tracks = Tracks { began, estimates: Vec::new(), truth: truth.clone() };
     let estimates: Vec<Quality> = ESTIMATES
         .iter()
         .zip(&mut collected)
         .filter(|(_, (estimates, unusable))| !estimates.is_empty() || *unusable > 0)
         .map(|(name, (estimates, unusable))| {
             estimates.sort_by_key(|e| e.stamp);
-            let mut quality = quality(name, estimates, &truth, began, options.skip);
-            quality.unusable = *unusable;
-            tracks
-                .estimates
-                .push(((*name).to_owned(), estimates.iter().map(|e| (e.stamp, e.pose)).collect()));
-            quality
+            let quality = quality(name, estimates, &truth, began, options.skip);
+            Quality { unusable: *unusable, ..quality }
         })
         .collect();
     if estimates.iter().all(|q| q.count == 0) {
         let path = options.estimates.display();
-        let stamps = tracks.estimates.iter().flat_map(|(_, track)| track).map(|(stamp, _)| *stamp);
+        let stamps = estimates.iter().flat_map(|q| &q.track).map(|(stamp, _)| *stamp);
         if let Some(last) = stamps.filter(|stamp| truth.at(*stamp).is_some()).max() {
             bail!(
                 "{path}: --skip {} leaves out all of the run, which lasts {:.1} s; give a shorter \
@@ -199,7 +194,7 @@ pub fn evaluate(options: &EvaluateOptions) -> anyhow::Result<Evaluation> {
              that both bags are of one run"
         );
     }
-    Ok(Evaluation { estimates, losses, tracks })
+    Ok(Evaluation { estimates, losses, began, truth })
 }
 
 fn quality(name: &str, estimates: &[Estimate], truth: &Truth, began: Stamp, skip: f64) -> Quality {
@@ -249,6 +244,7 @@ fn quality(name: &str, estimates: &[Estimate], truth: &Truth, began: Stamp, skip
         unusable: 0,
         without_covariance: sums.pose.without_covariance(),
         without_truth,
+        track: estimates.iter().map(|e| (e.stamp, e.pose)).collect(),
     }
 }
 
@@ -279,31 +275,24 @@ impl Sums {
 }
 
 fn read_odometry(data: &[u8]) -> Option<Estimate> {
-    let message: Odometry = cdr::from_bytes(data).ok()?;
-    let twist = &message.twist.twist;
-    finite(Estimate {
-        stamp: convert::stamp(&message.header.stamp),
-        pose: convert::pose(&message.pose.pose, "odometry").ok()?,
-        covariance: convert::covariance6(&message.pose.covariance),
-        twist: Some((
-            Vector3::new(twist.linear.x, twist.linear.y, twist.linear.z),
-            Vector3::new(twist.angular.x, twist.angular.y, twist.angular.z),
-        )),
-    })
+    let Odometry { header, pose, twist, .. } = cdr::from_bytes(data).ok()?;
+    let (v, w) = (twist.twist.linear, twist.twist.angular);
+    let twist = (Vector3::new(v.x, v.y, v.z), Vector3::new(w.x, w.y, w.z));
+    Some(Estimate { twist: Some(twist), ..estimate(&header, &pose)? })
 }
 
 fn read_pose(data: &[u8]) -> Option<Estimate> {
-    let message: PoseWithCovarianceStamped = cdr::from_bytes(data).ok()?;
-    finite(Estimate {
-        stamp: convert::stamp(&message.header.stamp),
-        pose: convert::pose(&message.pose.pose, "pose").ok()?,
-        covariance: convert::covariance6(&message.pose.covariance),
-        twist: None,
-    })
+    let PoseWithCovarianceStamped { header, pose } = cdr::from_bytes(data).ok()?;
+    estimate(&header, &pose)
 }
 
-fn finite(estimate: Estimate) -> Option<Estimate> {
-    estimate.pose.translation.vector.iter().all(|x| x.is_finite()).then_some(estimate)
+/// An estimate without a twist; `None` where the pose is invalid.
+fn estimate(header: &Header, pose: &PoseWithCovariance) -> Option<Estimate> {
+    let (stamp, covariance) =
+        (convert::stamp(&header.stamp), convert::covariance6(&pose.covariance));
+    let pose = convert::pose(&pose.pose, "pose").ok()?;
+    let is_finite = pose.translation.vector.iter().all(|x| x.is_finite());
+    is_finite.then_some(Estimate { stamp, pose, covariance, twist: None })
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! HTML page of an evaluation: table of errors, curves of the poses and of their errors.
 
-use super::{EvaluateOptions, Evaluation, Truth, report};
+use super::{EvaluateOptions, Evaluation, report};
 use crate::{
     command_line::quoted,
     report::{
@@ -9,7 +9,7 @@ use crate::{
     },
 };
 use nalgebra::Isometry3;
-use rig_model::{Stamp, topics};
+use rig_model::topics;
 
 /// Most points of a drawn curve.
 const POINTS: usize = 1500;
@@ -19,25 +19,24 @@ const POINTS: usize = 1500;
 /// # Errors
 /// A figure cannot be drawn.
 pub fn page(evaluation: &Evaluation, options: &EvaluateOptions) -> Result<Page, ChartError> {
-    let tracks = &evaluation.tracks;
-    let seconds =
-        tracks.truth.span().map_or(0.0, |(_, last)| last.seconds_since(tracks.began)).max(0.1);
+    let Evaluation { began, truth, .. } = evaluation;
+    let seconds = truth.span().map_or(0.0, |(_, last)| last.seconds_since(*began)).max(0.1);
     // `fused_pose` is the same odometry, inverted: its curve would coincide.
     // The dots of single images first, so that the line is above them.
-    let shown = tracks.estimates.iter().rev().filter_map(|(topic, track)| match topic.as_str() {
-        topics::VISUAL_POSE => {
-            Some(Curve { name: "camera alone", track, color: colors::CAMERA, width: 0 })
-        }
-        topics::ODOMETRY => Some(Curve { name: "fused", track, color: colors::FUSED, width: 3 }),
-        _ => None,
+    let shown = evaluation.estimates.iter().rev().filter_map(|q| {
+        let (name, color, width) = match q.estimate.as_str() {
+            topics::VISUAL_POSE => ("camera alone", colors::CAMERA, 0),
+            topics::ODOMETRY => ("fused", colors::FUSED, 3),
+            _ => return None,
+        };
+        Some(Curve { name, track: &q.track, color, width })
     });
     let curves: Vec<Curve<'_>> = shown.collect();
-    let truth = |t: f64| Some(tracks.truth.at(tracks.began.plus_seconds(t))?.world_from_volant);
     let run = Run {
         title: "Pose of the platform in the world frame",
-        epoch: tracks.began,
+        epoch: *began,
         seconds,
-        truth: &truth,
+        truth: &|t| Some(truth.at(began.plus_seconds(t))?.world_from_volant),
         shaded: &[],
     };
     let six = six_curves(&run, &curves)?;
@@ -80,25 +79,19 @@ pub fn page(evaluation: &Evaluation, options: &EvaluateOptions) -> Result<Page, 
             Section {
                 id: "off".into(),
                 title: "Distance from the truth over time".into(),
-                blocks: vec![Block::Figure(distances(
-                    tracks.began,
-                    seconds,
-                    options.skip,
-                    &tracks.truth,
-                    &curves,
-                )?)],
+                blocks: vec![Block::Figure(distances(evaluation, seconds, options.skip, &curves)?)],
             },
         ],
     })
 }
 
 fn distances(
-    began: Stamp,
+    evaluation: &Evaluation,
     seconds: f64,
     skip: f64,
-    truth: &Truth,
     curves: &[Curve<'_>],
 ) -> Result<String, ChartError> {
+    let Evaluation { began, truth, .. } = evaluation;
     let curve = |of: &dyn Fn(&Isometry3<f64>, &Isometry3<f64>) -> f64| -> (Vec<Series>, f64) {
         let mut all = Vec::new();
         let series = curves
@@ -109,7 +102,7 @@ fn distances(
                     .iter()
                     .filter_map(|(stamp, pose)| {
                         Some((
-                            stamp.seconds_since(began),
+                            stamp.seconds_since(*began),
                             of(pose, &truth.at(*stamp)?.world_from_volant),
                         ))
                     })
@@ -123,13 +116,7 @@ fn distances(
                     .filter_map(|c| c.iter().copied().max_by(|a, b| a.1.total_cmp(&b.1)))
                     .collect();
                 let shape = if drawn.width == 0 { Shape::Dots } else { Shape::Line(2) };
-                Series {
-                    name: drawn.name.to_owned(),
-                    color: drawn.color,
-                    shape,
-                    points: thinned,
-                    spread: Vec::new(),
-                }
+                Series::new(drawn.name, drawn.color, shape, thinned)
             })
             .collect();
         all.sort_by(f64::total_cmp);

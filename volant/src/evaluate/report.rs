@@ -68,38 +68,18 @@ pub fn csv(evaluation: &Evaluation) -> String {
     }
     out += ",nees_position,nees_rotation,nees_pose,rate_hz,gaps_over_30_ms,longest_gap_ms,\
             first_s,last_s,unusable,without_covariance,without_truth\n";
+    let figure = |value: f64| if value.is_nan() { String::new() } else { format!("{value:.6}") };
     for q in &evaluation.estimates {
-        let _ = write!(out, "{},{}", q.estimate, q.count);
-        let spreads = std::iter::once(&q.position_mm)
-            .chain(&q.axes_mm)
-            .chain(std::iter::once(&q.rotation_deg))
-            .chain(&q.angles_deg);
-        for s in spreads {
-            for value in [s.rmse, s.max] {
-                out.push(',');
-                if !value.is_nan() {
-                    let _ = write!(out, "{value:.6}");
-                }
-            }
-        }
-        for nees in [q.nees_position, q.nees_rotation, q.nees_pose] {
-            out.push(',');
-            if let Some(nees) = nees {
-                let _ = write!(out, "{nees:.4}");
-            }
-        }
-        let _ = writeln!(
-            out,
-            ",{:.4},{},{:.3},{:.3},{:.3},{},{},{}",
-            q.rate_hz,
-            q.gaps_over_30_ms,
-            q.longest_gap_ms,
-            q.first_s,
-            q.last_s,
-            q.unusable,
-            q.without_covariance,
-            q.without_truth
-        );
+        let spreads = [&[q.position_mm][..], &q.axes_mm, &[q.rotation_deg], &q.angles_deg].concat();
+        let nees = [q.nees_position, q.nees_rotation, q.nees_pose];
+        let mut cells = vec![q.estimate.clone(), q.count.to_string()];
+        cells.extend(spreads.iter().flat_map(|s| [s.rmse, s.max]).map(figure));
+        cells.extend(nees.map(|nees| nees.map_or(String::new(), |nees| format!("{nees:.4}"))));
+        cells.extend([format!("{:.4}", q.rate_hz), q.gaps_over_30_ms.to_string()]);
+        cells.extend([q.longest_gap_ms, q.first_s, q.last_s].map(|value| format!("{value:.3}")));
+        let lacks = [q.unusable, q.without_covariance, q.without_truth];
+        cells.extend(lacks.map(|count| count.to_string()));
+        out += &(cells.join(",") + "\n");
     }
     out
 }

@@ -1,27 +1,31 @@
 use super::*;
 use bag::{BagWriter, Qos, Topic, WriteOptions};
+use rig_model::topics::absolute::{GROUND_TRUTH, ODOMETRY};
 use std::path::Path;
 
 const START: i64 = 1_700_000_000_000_000_000;
 
-/// Writes odometry at 100 Hz, stamped from [`START`] on and logged `late` s after its stamps.
-fn odometry(path: &Path, topic: &str, seconds: f64, late: f64) {
-    odometry_at(path, topic, seconds, late, 0.0);
+/// Times at 100 Hz, s.
+fn at_100_hz(seconds: f64) -> Vec<f64> {
+    (0..(100.0 * seconds) as u32).map(|i| f64::from(i) * 0.01).collect()
 }
 
-/// The same at a place on the x axis, m, known to 1 mm.
-fn odometry_at(path: &Path, topic: &str, seconds: f64, late: f64, x: f64) {
+/// Writes odometry at a place on the x axis, m, known to 1 mm. It is stamped at times after
+/// [`START`], s, on each topic, and logged `late` s after its stamps.
+fn odometry(path: &Path, topics: &[(&str, &[f64])], late: f64, x: f64) {
     let mut bag = BagWriter::create(path, WriteOptions::default()).unwrap();
-    let topic = bag.add_topic(Topic::of::<Odometry>(topic, &Qos::RELIABLE));
-    for i in 0..(100.0 * seconds) as u32 {
-        let stamp = Stamp::from_nanos(START).plus_seconds(f64::from(i) * 0.01);
-        let mut message =
-            Odometry { header: convert::header("world", stamp), ..Odometry::default() };
-        message.pose.pose.orientation.w = 1.0;
-        message.pose.pose.position.x = x;
-        message.pose.covariance = std::array::from_fn(|i| if i % 7 == 0 { 1e-6 } else { 0.0 });
-        let logged = u64::try_from(stamp.plus_seconds(late).as_nanos()).unwrap();
-        bag.write_message(topic, logged, &message).unwrap();
+    for (topic, times) in topics {
+        let topic = bag.add_topic(Topic::of::<Odometry>(topic, &Qos::RELIABLE));
+        for time in *times {
+            let stamp = Stamp::from_nanos(START).plus_seconds(*time);
+            let mut message =
+                Odometry { header: convert::header("world", stamp), ..Odometry::default() };
+            message.pose.pose.orientation.w = 1.0;
+            message.pose.pose.position.x = x;
+            message.pose.covariance = std::array::from_fn(|i| if i % 7 == 0 { 1e-6 } else { 0.0 });
+            let logged = u64::try_from(stamp.plus_seconds(late).as_nanos()).unwrap();
+            bag.write_message(topic, logged, &message).unwrap();
+        }
     }
     bag.finish().unwrap();
 }
@@ -35,13 +39,13 @@ fn options(folder: &Path) -> EvaluateOptions {
 fn a_recording_of_a_played_bag_is_evaluated_by_its_stamps() {
     let folder = tempfile::tempdir().unwrap();
     let options = options(folder.path());
-    odometry(&options.truth, topics::absolute::GROUND_TRUTH, 3.0, 0.0);
+    odometry(&options.truth, &[(GROUND_TRUTH, &at_100_hz(3.0))], 0.0, 0.0);
     for late in [0.0, 3600.0, -3600.0] {
         let _ = std::fs::remove_file(&options.estimates);
-        odometry(&options.estimates, topics::absolute::ODOMETRY, 3.0, late);
+        odometry(&options.estimates, &[(ODOMETRY, &at_100_hz(3.0))], late, 0.0);
         let evaluation = evaluate(&options).unwrap();
         assert_eq!(evaluation.estimates[0].count, 200, "logged {late} s late");
-        assert_eq!(evaluation.tracks.began, Stamp::from_nanos(START));
+        assert_eq!(evaluation.began, Stamp::from_nanos(START));
     }
 }
 
@@ -49,21 +53,10 @@ fn a_recording_of_a_played_bag_is_evaluated_by_its_stamps() {
 fn an_estimate_of_which_nothing_was_compared_has_no_figures() {
     let folder = tempfile::tempdir().unwrap();
     let options = options(folder.path());
-    odometry(&options.truth, topics::absolute::GROUND_TRUTH, 3.0, 0.0);
+    odometry(&options.truth, &[(GROUND_TRUTH, &at_100_hz(3.0))], 0.0, 0.0);
     // The smoothed odometry ends within the first second.
-    let mut bag = BagWriter::create(&options.estimates, WriteOptions::default()).unwrap();
-    for (name, last) in [(topics::absolute::ODOMETRY, 2.0), ("/volant/smoothed_odometry", 0.5)] {
-        let topic = bag.add_topic(Topic::of::<Odometry>(name, &Qos::RELIABLE));
-        for at in [0.0, last] {
-            let stamp = Stamp::from_nanos(START).plus_seconds(at);
-            let mut message =
-                Odometry { header: convert::header("world", stamp), ..Odometry::default() };
-            message.pose.pose.orientation.w = 1.0;
-            let logged = u64::try_from(stamp.as_nanos()).unwrap();
-            bag.write_message(topic, logged, &message).unwrap();
-        }
-    }
-    bag.finish().unwrap();
+    let both = [(ODOMETRY, &[0.0, 2.0][..]), ("/volant/smoothed_odometry", &[0.0, 0.5])];
+    odometry(&options.estimates, &both, 0.0, 0.0);
     let evaluation = evaluate(&options).unwrap();
     let [compared, nothing] = &evaluation.estimates[..] else { panic!("{evaluation:?}") };
     assert_eq!((compared.count, compared.position_mm.max, nothing.count), (1, 0.0, 0));
@@ -80,8 +73,8 @@ fn an_estimate_of_which_nothing_was_compared_has_no_figures() {
 fn an_error_names_the_skipped_time_that_is_longer_than_the_run() {
     let folder = tempfile::tempdir().unwrap();
     let options = EvaluateOptions { skip: 10.0, ..options(folder.path()) };
-    odometry(&options.truth, topics::absolute::GROUND_TRUTH, 3.0, 0.0);
-    odometry(&options.estimates, topics::absolute::ODOMETRY, 3.0, 0.0);
+    odometry(&options.truth, &[(GROUND_TRUTH, &at_100_hz(3.0))], 0.0, 0.0);
+    odometry(&options.estimates, &[(ODOMETRY, &at_100_hz(3.0))], 0.0, 0.0);
     let error = evaluate(&options).unwrap_err().to_string();
     assert!(error.contains("out.mcap: --skip 10 ") && error.contains("lasts 3.0 s"), "{error}");
 }
@@ -91,8 +84,8 @@ fn the_page_has_the_table_the_curves_and_the_losses() {
     let folder = tempfile::tempdir().unwrap();
     let estimates = folder.path().join("my out.mcap");
     let options = EvaluateOptions { estimates, ..options(folder.path()) };
-    odometry(&options.truth, topics::absolute::GROUND_TRUTH, 3.0, 0.0);
-    odometry_at(&options.estimates, topics::absolute::ODOMETRY, 3.0, 0.0, 0.002);
+    odometry(&options.truth, &[(GROUND_TRUTH, &at_100_hz(3.0))], 0.0, 0.0);
+    odometry(&options.estimates, &[(ODOMETRY, &at_100_hz(3.0))], 0.0, 0.002);
     let mut evaluation = evaluate(&options).unwrap();
     evaluation.losses.push("the bag was cut".into());
     let html = page(&evaluation, &options).unwrap().render();

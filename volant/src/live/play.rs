@@ -4,7 +4,11 @@ use super::{
     raw::{Raw, RawAdapter},
     thread_ended,
 };
-use crate::{replay::TopicNames, stopwatch::Stopwatch};
+use crate::{
+    command_line::{number, seconds},
+    replay::{Remap, TopicNames},
+    stopwatch::Stopwatch,
+};
 use anyhow::{Result, anyhow};
 use bag::{BagReader, Qos, Topic, qos_from_yaml};
 use node_kit::{
@@ -17,6 +21,7 @@ use rig_model::topics;
 use rustdds::{RTPSEntity, no_key::DataWriter};
 use std::{
     collections::BTreeMap,
+    convert::Infallible,
     path::PathBuf,
     sync::{
         atomic::{AtomicBool, Ordering},
@@ -42,24 +47,51 @@ const STOPPED_WAIT: Duration = Duration::from_millis(500);
 const LINGER: Duration = Duration::from_millis(500);
 
 /// Options of a playback.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, clap::Args)]
 pub struct PlayOptions {
-    /// Bag to play.
+    /// Bag: an .mcap file or a rosbag2 folder
     pub input: PathBuf,
-    /// Playback rate; 2 is twice as fast as recorded.
+    /// Playback rate; 2 is twice as fast as recorded
+    #[arg(short, long, default_value_t = 1.0, value_parser = number(1e-3..=1e3))]
     pub rate: f64,
-    /// Whether to restart at the end.
+    /// Restart at the end
+    #[arg(short = 'l', long = "loop")]
     pub repeat: bool,
-    /// Skipped time at the start.
+    /// Time to skip at the start, s
+    #[arg(long, value_name = "SECONDS", default_value = "0", value_parser = seconds(0.0..=1e9))]
     pub start_offset: Duration,
-    /// Time before the first message, in which subscribers discover the topics.
+    /// Time to wait for subscribers before the first message, s
+    #[arg(
+        short,
+        long,
+        value_name = "SECONDS",
+        default_value = "0.5",
+        value_parser = seconds(0.0..=3600.0)
+    )]
     pub delay: Duration,
-    /// Rate of `/clock`, Hz; `None`: not published.
-    pub clock_hz: Option<f64>,
-    /// Topics to play, by their names in the bag; empty: all. Those that it lacks are left out.
+    /// Start paused; the space bar and SIGUSR1 resume and pause
+    #[arg(short, long)]
+    pub paused: bool,
+    /// Publish /clock at this rate, Hz [without a value: 40]
+    #[arg(
+        long,
+        value_name = "HZ",
+        num_args = 0..=1,
+        default_missing_value = "40",
+        value_parser = number(1e-3..=1e3)
+    )]
+    pub clock: Option<f64>,
+    /// Play only these topics
+    #[arg(long, value_name = "TOPIC", num_args = 1.., value_parser = absolute)]
     pub topics: Vec<String>,
-    /// Remapping of names in the bag.
-    pub names: TopicNames,
+    /// Remap a topic, FROM:=TO; repeatable
+    #[arg(short = 'm', long, value_name = "FROM:=TO", num_args = 1..)]
+    pub remap: Vec<Remap>,
+}
+
+/// Absolute name of a topic in the bag.
+fn absolute(name: &str) -> Result<String, Infallible> {
+    Ok(TopicNames::default().resolve(name))
 }
 
 /// Result of a playback.
@@ -80,7 +112,8 @@ struct Writer {
 }
 
 /// Plays a bag as the node `rosbag2_player`, until `stop` is set; its time stops while `paused` is
-/// set. `progress` is called with the bag's time and its span, ns.
+/// set, which is [`PlayOptions::paused`] at the start. `progress` is called with the bag's time and
+/// its span, ns. Topics that the bag lacks are left out.
 ///
 /// # Errors
 /// The bag is unreadable, holds nothing to play or lacks a remapped topic, or DDS creates no node
@@ -92,6 +125,7 @@ pub fn play(
     mut progress: impl FnMut(u64, (u64, u64)),
 ) -> Result<PlayReport> {
     let summary = BagReader::summary(&options.input)?;
+    let names = TopicNames::new("", &options.remap);
     let nothing = |why: String| anyhow!("{}: nothing to play{why}", options.input.display());
     let Some((first, last)) = summary.span else {
         return Err(nothing(": it holds no message".into()));
@@ -103,8 +137,8 @@ pub fn play(
     }
     let known = summary.topics.iter().map(|(t, _)| t.name.as_str()).collect::<Vec<_>>();
     let holds = |name: &str| name == topics::absolute::CLOCK || known.contains(&name);
-    let absent = |names: &str| nothing(format!(" on {names}; it holds {}", known.join(", ")));
-    if let Some(name) = options.names.remapped().find(|name| !holds(name)) {
+    let absent = |topics: &str| nothing(format!(" on {topics}; it holds {}", known.join(", ")));
+    if let Some(name) = names.remapped().find(|name| !holds(name)) {
         return Err(absent(name));
     }
     if !options.topics.is_empty() && !options.topics.iter().any(|name| holds(name)) {
@@ -113,29 +147,26 @@ pub fn play(
     let mut chosen = BTreeMap::new();
     for (topic, count) in &summary.topics {
         let selected = options.topics.is_empty() || options.topics.contains(&topic.name);
-        let clock = options.clock_hz.is_some() && topic.type_name == Clock::TYPE_NAME;
+        let clock = options.clock.is_some() && topic.type_name == Clock::TYPE_NAME;
         if *count > 0 && selected && !clock {
-            let qos = qos_from_yaml(&topic.offered_qos_profiles);
-            let name = options.names.resolve(&topic.name);
-            let published = Published { name, topic: topic.clone(), qos };
+            let published = Topic { name: names.resolve(&topic.name), ..topic.clone() };
             chosen.entry(topic.name.clone()).or_insert(published);
         }
     }
     if chosen.is_empty() {
         return Err(nothing(format!(" on {}: they are empty", options.topics.join(", "))));
     }
-    let clock = options.clock_hz.map(|hz| {
-        let (name, qos) = (options.names.resolve(topics::absolute::CLOCK), Qos::SENSOR);
-        let topic = Topic::of::<Clock>(&name, &qos);
-        (Published { name, topic, qos }, 1.0 / hz)
+    let clock = options.clock.map(|hz| {
+        let name = names.resolve(topics::absolute::CLOCK);
+        (Topic::of::<Clock>(&name, &Qos::SENSOR), 1.0 / hz)
     });
     let (_node, (writers, clock)) = start_player(move |node| {
         let mut writers = BTreeMap::new();
-        for (name, published) in chosen {
-            writers.insert(name, published.advertise(node)?);
+        for (name, topic) in chosen {
+            writers.insert(name, advertise(&topic, node)?);
         }
         let clock = match clock {
-            Some((published, period)) => Some((published.advertise(node)?, period)),
+            Some((topic, period)) => Some((advertise(&topic, node)?, period)),
             None => None,
         };
         Ok((writers, clock))
@@ -226,27 +257,20 @@ fn start_player<T: Send + 'static>(
     Ok((process, publishers))
 }
 
-/// A topic to publish, with its resolved name.
-struct Published {
-    name: String,
-    topic: Topic,
-    qos: Qos,
-}
-
-impl Published {
-    fn advertise(&self, node: &mut NodeHandle) -> Result<Writer> {
-        // A slow subscriber delays the player for a moment only.
-        let policies = unlimited_policies(&self.qos, rustdds::Duration::from_millis(100)).build();
-        let policies = with_type_hash(policies, &self.topic.type_hash);
-        let participant = node.participant();
-        let topic = ros_topic(&participant, &self.name, &self.topic.type_name, &policies)?;
-        let writer = participant
-            .create_publisher(&policies)
-            .and_then(|publisher| publisher.create_datawriter_no_key(&topic, Some(policies)))
-            .map_err(|e| anyhow!("the publisher of {}: {e}", self.name))?;
-        node.announce_writer(writer.guid());
-        Ok(Writer { writer, latched: self.qos.transient_local })
-    }
+/// Creates the publisher of a topic, with the QoS that its publishers offered.
+fn advertise(topic: &Topic, node: &mut NodeHandle) -> Result<Writer> {
+    let qos = qos_from_yaml(&topic.offered_qos_profiles);
+    // A slow subscriber delays the player for a moment only.
+    let policies = unlimited_policies(&qos, rustdds::Duration::from_millis(100)).build();
+    let policies = with_type_hash(policies, &topic.type_hash);
+    let participant = node.participant();
+    let dds_topic = ros_topic(&participant, &topic.name, &topic.type_name, &policies)?;
+    let writer = participant
+        .create_publisher(&policies)
+        .and_then(|publisher| publisher.create_datawriter_no_key(&dds_topic, Some(policies)))
+        .map_err(|e| anyhow!("the publisher of {}: {e}", topic.name))?;
+    node.announce_writer(writer.guid());
+    Ok(Writer { writer, latched: qos.transient_local })
 }
 
 struct Pace<'a> {

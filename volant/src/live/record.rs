@@ -17,7 +17,7 @@ use std::{
     path::PathBuf,
     sync::{
         Arc,
-        atomic::{AtomicBool, AtomicU64, Ordering},
+        atomic::{AtomicBool, Ordering},
         mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel},
     },
     time::{Duration, SystemTime},
@@ -49,30 +49,30 @@ pub struct RecordOptions {
 }
 
 /// Progress of a recording.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct RecordStatus {
     /// Received messages.
-    pub messages: AtomicU64,
+    pub messages: u64,
     /// Bytes of the received messages.
-    pub bytes: AtomicU64,
+    pub bytes: u64,
     /// Messages that the full queue dropped.
-    pub dropped: AtomicU64,
+    pub dropped: u64,
     /// Messages lost in transport, by gaps in their publishers' sequence numbers.
-    pub lost: AtomicU64,
+    pub lost: u64,
     /// Recorded topics.
-    pub topics: AtomicU64,
+    pub topics: usize,
     /// Requested topics without a publisher so far.
-    pub unpublished: Mutex<Vec<String>>,
+    pub unpublished: Vec<String>,
     /// Why a topic was not subscribed, or the DDS domain not joined again, each once; both are
     /// tried again.
-    pub failures: Mutex<Vec<String>>,
+    pub failures: Vec<String>,
 }
 
 impl RecordStatus {
-    fn fail(&self, error: &anyhow::Error) {
-        let (mut failures, text) = (self.failures.lock(), error.to_string());
-        if !failures.contains(&text) {
-            failures.push(text);
+    fn fail(&mut self, error: &anyhow::Error) {
+        let text = error.to_string();
+        if !self.failures.contains(&text) {
+            self.failures.push(text);
         }
     }
 }
@@ -82,17 +82,11 @@ impl RecordStatus {
 pub struct RecordReport {
     /// The bag.
     pub bag: BagSummary,
-    /// Messages that the full queue dropped.
-    pub dropped: u64,
-    /// Messages lost in transport, by gaps in their publishers' sequence numbers.
-    pub lost: u64,
-    /// Requested topics that had no publisher.
-    pub unpublished: Vec<String>,
+    /// Its status at the end.
+    pub status: RecordStatus,
     /// Why the DDS domain was joined again during the recording; messages published meanwhile are
     /// missing.
     pub losses: Vec<Loss>,
-    /// [`RecordStatus::failures`].
-    pub failures: Vec<String>,
 }
 
 enum Item {
@@ -115,7 +109,7 @@ pub fn record(
     // Joined first: a recording that cannot start leaves no file.
     let tap = Tap::join(NODE)?;
     let bag = BagWriter::create(&options.output, options.write)?;
-    let status = Arc::new(RecordStatus::default());
+    let status = Arc::new(Mutex::new(RecordStatus::default()));
     let (items, queue) = sync_channel(QUEUE);
     let failed = Arc::new(AtomicBool::new(false));
     let writer = std::thread::spawn({
@@ -148,7 +142,7 @@ pub fn record(
         if lost {
             match Tap::join(NODE) {
                 Ok(tap) => (takers.tap, lost) = (tap, false),
-                Err(error) => status.fail(&error),
+                Err(error) => status.lock().fail(&error),
             }
         }
         let offers = if lost { vec![] } else { takers.tap.offers() };
@@ -159,26 +153,21 @@ pub fn record(
                 && !options.exclude.iter().any(|topic| is_meant(topic, name))
                 && let Err(error) = takers.add(offer)
             {
-                status.fail(&error);
+                status.lock().fail(&error);
             }
         }
-        let unpublished = takers.unpublished(&options.topics);
-        *status.unpublished.lock() = unpublished;
-        progress(&status);
+        status.lock().unpublished = takers.unpublished(&options.topics);
+        // A copy: a slow terminal must not keep samples waiting.
+        let now = status.lock().clone();
+        progress(&now);
         std::thread::sleep(LOOK);
     }
-    let unpublished = takers.unpublished(&options.topics);
+    status.lock().unpublished = takers.unpublished(&options.topics);
     // Dropping the subscriptions and the tap closes the queue, and the writer closes the bag.
     drop(takers);
     let bag = writer.join().map_err(|_| thread_ended("the bag's writer"))??;
-    Ok(RecordReport {
-        bag,
-        dropped: status.dropped.load(Ordering::Relaxed),
-        lost: status.lost.load(Ordering::Relaxed),
-        unpublished,
-        losses,
-        failures: std::mem::take(&mut *status.failures.lock()),
-    })
+    let status = status.lock().clone();
+    Ok(RecordReport { bag, status, losses })
 }
 
 /// Whether the absolute or relative name `topic` means the topic `name`.
@@ -214,7 +203,7 @@ struct Takers<'a> {
     topics: BTreeMap<String, usize>,
     tap: Tap,
     items: SyncSender<Item>,
-    status: &'a Arc<RecordStatus>,
+    status: &'a Arc<Mutex<RecordStatus>>,
 }
 
 impl Takers<'_> {
@@ -241,21 +230,21 @@ impl Takers<'_> {
         };
         let (items, status) = (self.items.clone(), Arc::clone(self.status));
         let subscription = self.tap.subscribe(&offer, move |sample| {
-            let bytes = sample.data.len() as u64;
-            status.lost.fetch_add(sample.lost, Ordering::Relaxed);
-            match items.try_send(Item::Message(index, sample)) {
+            let (bytes, lost) = (sample.data.len() as u64, sample.lost);
+            let sent = items.try_send(Item::Message(index, sample));
+            let mut status = status.lock();
+            status.lost += lost;
+            match sent {
                 Ok(()) => {
-                    status.messages.fetch_add(1, Ordering::Relaxed);
-                    status.bytes.fetch_add(bytes, Ordering::Relaxed);
+                    status.messages += 1;
+                    status.bytes += bytes;
                 }
                 // Full; or the writer failed, and the recording ends with its reason.
-                Err(_) => {
-                    status.dropped.fetch_add(1, Ordering::Relaxed);
-                }
+                Err(_) => status.dropped += 1,
             }
         })?;
         self.subscriptions.insert(offer.topic.name, subscription);
-        self.status.topics.store(self.topics.len() as u64, Ordering::Relaxed);
+        self.status.lock().topics = self.topics.len();
         Ok(())
     }
 }
@@ -285,11 +274,11 @@ mod tests {
 
     #[test]
     fn a_failure_that_is_tried_again_is_noted_once() {
-        let status = RecordStatus::default();
+        let mut status = RecordStatus::default();
         for what in ["the subscription of /a", "the subscription of /a", "the subscription of /b"] {
             status.fail(&anyhow::anyhow!("{what}: no memory"));
         }
-        assert_eq!(status.failures.lock().len(), 2);
+        assert_eq!(status.failures.len(), 2);
     }
 
     #[test]

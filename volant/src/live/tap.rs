@@ -127,12 +127,8 @@ impl Tap {
                 Offer { topic, qos: Qos::LATCHED, publishers: 0 }
             });
             offer.publishers += 1;
-            if !reliable {
-                offer.qos.reliable = false;
-            }
-            if !latched {
-                offer.qos.transient_local = false;
-            }
+            offer.qos.reliable &= reliable;
+            offer.qos.transient_local &= latched;
         }
         offers
             .into_values()

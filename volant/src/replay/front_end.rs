@@ -42,7 +42,8 @@ pub(crate) struct FrontEnd {
     rig: Rig,
     roles: Roles,
     tracker: Tracker,
-    climber: Option<Climber>,
+    /// Driver from which the climber's samples come, where the bag has none.
+    pub climber: Option<Climber>,
     /// Camera of the last `camera_info`.
     pub camera: Option<CameraModel>,
     /// Why climber transforms were rejected.
@@ -63,11 +64,6 @@ impl FrontEnd {
             rejected: vec![],
             counts: Counts::default(),
         }
-    }
-
-    /// Whether the climber's samples come from its driver.
-    pub fn has_driver(&self) -> bool {
-        self.climber.is_some()
     }
 
     /// Converts the next item of a bag.

@@ -29,17 +29,11 @@ use std::{
 };
 use volant_msgs::{Message, geometry_msgs, msg, sensor_msgs};
 
-/// Options of a replay.
+/// Rig and configuration of the cores that a bag is read with, and the names of its topics.
 #[derive(Clone, Debug)]
-pub struct ReplayOptions {
-    /// Bag to replay.
-    pub input: PathBuf,
+pub struct Cores {
     /// Rig.
     pub rig: Rig,
-    /// Bag to write.
-    pub output: PathBuf,
-    /// Whether an existing file is replaced; never the input.
-    pub overwrite: bool,
     /// Configuration of the tracker.
     pub tracker: TrackerConfig,
     /// Configuration of the climber driver, for a bag with `climber/joint_states` and without
@@ -49,6 +43,32 @@ pub struct ReplayOptions {
     pub fusion: FusionConfig,
     /// Namespace and remaps.
     pub names: TopicNames,
+}
+
+impl Cores {
+    /// The defaults with a rig file.
+    pub fn of(rig: &Rig) -> Self {
+        Self {
+            rig: rig.clone(),
+            tracker: TrackerConfig { start_colors: rig.colors, ..TrackerConfig::default() },
+            climber: Ok(ClimberConfig::default()),
+            fusion: FusionConfig::default(),
+            names: TopicNames::default(),
+        }
+    }
+}
+
+/// Options of a replay.
+#[derive(Clone, Debug)]
+pub struct ReplayOptions {
+    /// Bag to replay.
+    pub input: PathBuf,
+    /// Bag to write.
+    pub output: PathBuf,
+    /// Whether an existing file is replaced; never the input.
+    pub overwrite: bool,
+    /// The cores.
+    pub cores: Cores,
     /// Compression of the bag to write.
     pub compression: Compression,
     /// Threads that decode images.
@@ -81,12 +101,13 @@ pub fn replay(
     mut progress: impl FnMut(u64),
 ) -> anyhow::Result<ReplayReport> {
     let watch = Stopwatch::start();
-    let (input, output) = (&options.input, &options.output);
+    let ReplayOptions { input, output, cores, .. } = options;
+    let Cores { rig, names, .. } = cores;
     node_kit::files::check_output(output, options.overwrite, &[input])?;
     let summary = BagReader::summary(input)?;
-    let roles = roles(input, &summary, &options.names)?;
+    let roles = roles(input, &summary, names)?;
     let climber = roles.joints.as_ref().map(|topic| {
-        let config = options.climber.clone();
+        let config = cores.climber.clone();
         let climber = config.and_then(|c| Climber::new(c).map_err(|e| e.to_string()));
         let path = input.display();
         climber.map_err(|e| anyhow!("{path}: {topic} is converted by climber_driver: {e}"))
@@ -99,16 +120,14 @@ pub fn replay(
         replace: options.overwrite,
         ..WriteOptions::default()
     };
-    let out =
-        OutputBag::create(output, write, &options.names, &options.rig, first, options.smooth)?;
-    let mut fusion = Fusion::new(options.rig.clone(), options.fusion.clone());
+    let out = OutputBag::create(output, write, names, rig, first, options.smooth)?;
+    let mut fusion = Fusion::new(rig.clone(), cores.fusion.clone());
     if options.smooth {
         fusion.keep_for_smoothing();
     }
     let mut feed = Feed::start(input, roles.images.clone(), roles.messages(), options.workers)?;
-    let front_end = FrontEnd::new(&options.rig, roles, &options.tracker, climber);
-    let frames = options.rig.frames.clone();
-    let mut pipeline = Pipeline::new(frames, front_end, fusion, out, options.smooth);
+    let front_end = FrontEnd::new(rig, roles, &cores.tracker, climber);
+    let mut pipeline = Pipeline::new(rig.frames.clone(), front_end, fusion, out, options.smooth);
     while let Some(fed) = feed.take()? {
         pipeline.handle(fed)?;
         progress(feed.bytes_read());
@@ -128,9 +147,8 @@ pub fn replay(
 
 fn why_silent(pipeline: &Pipeline, losses: &[String]) -> String {
     let (counts, missing) = (pipeline.counts(), pipeline.missing());
-    if let Some((count, sentence)) = pipeline.rejected_input() {
-        let times = if *count > 1 { format!(" ({count} times)") } else { String::new() };
-        return format!("{sentence}{times}");
+    if let Some(warning) = pipeline.rejected_input() {
+        return warning;
     }
     let cause = losses.first().cloned().or_else(|| pipeline.findings().into_iter().next());
     if let Some(cause) = cause {

@@ -60,10 +60,7 @@ impl Counts {
 
     /// The first warning of each kind, with their number.
     pub fn warning_lines(&self) -> impl Iterator<Item = String> {
-        self.warnings.values().map(|(count, sentence)| {
-            let times = if *count > 1 { format!(" ({count} times)") } else { String::new() };
-            format!("{sentence}{times}")
-        })
+        self.warnings.values().map(with_number)
     }
 
     fn odometry_at(&mut self, stamp: Stamp) {
@@ -76,6 +73,12 @@ impl Counts {
         }
         self.last_odometry = Some(stamp);
     }
+}
+
+/// A warning, with its number where there are several.
+fn with_number((count, sentence): &(u64, String)) -> String {
+    let times = if *count > 1 { format!(" ({count} times)") } else { String::new() };
+    format!("{sentence}{times}")
 }
 
 /// A stamp further ahead of the filter's time, s, is wrong, since nothing is out for as long; the
@@ -121,9 +124,8 @@ impl Pipeline {
         self.fusion.missing()
     }
 
-    /// The warning about an input of which the filter has not received a single usable message: how
-    /// often, and the first one.
-    pub(super) fn rejected_input(&self) -> Option<&(u64, String)> {
+    /// The warning about an input of which the filter has not received a single usable message.
+    pub(super) fn rejected_input(&self) -> Option<String> {
         let counts = self.counts();
         let warning = |kind: &str| counts.warnings.get(kind);
         let no_markers = counts.markers == 0;
@@ -150,6 +152,7 @@ impl Pipeline {
             let undecodable = |kind: &str| kind.starts_with('/') && !kind.contains(' ');
             counts.warnings.iter().find(|(kind, _)| undecodable(kind)).map(|(_, warning)| warning)
         })
+        .map(with_number)
     }
 
     /// Handles the next item of the bag.
@@ -181,7 +184,7 @@ impl Pipeline {
     }
 
     fn climber(&mut self, mut sample: ClimberSample) -> Result<(), BagError> {
-        if self.front_end.has_driver() {
+        if self.front_end.climber.is_some() {
             // As a message, which rounds the rotation: live the filter receives no other.
             let message = convert::climber_message(&sample, &self.frames);
             match convert::climber_sample(&message, &self.frames) {

@@ -68,6 +68,13 @@ pub struct Series {
     pub spread: Vec<f64>,
 }
 
+impl Series {
+    /// A series without whiskers.
+    pub fn new(name: &str, color: RGBColor, shape: Shape, points: Vec<(f64, f64)>) -> Self {
+        Self { name: name.to_owned(), color, shape, points, spread: vec![] }
+    }
+}
+
 /// An axis.
 #[derive(Clone, Debug)]
 pub struct Axis {
@@ -302,6 +309,7 @@ mod tests {
         let svg = panels(sheet, &[panel(false), panel(true)]).unwrap();
         assert_eq!(svg.matches("\ntheirs\n").count(), 1, "one legend for both panels");
         assert_eq!(svg.matches("error [mm]").count(), 2);
+        assert!(svg.contains("viewBox=\"0 0 900 500\""), "it scales");
         // Two parts per line, two lines per panel, two panels; plus whiskers and the legend's
         // lines.
         assert!(svg.matches("<polyline").count() >= 8, "{}", svg.matches("<polyline").count());

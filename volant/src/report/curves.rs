@@ -76,24 +76,17 @@ pub fn six_curves(run: &Run<'_>, curves: &[Curve<'_>]) -> Result<String, ChartEr
         let (low, high) = if low <= high { (low, high) } else { (0.0, 0.0) };
         let margin = (0.25 * (high - low)).max(if axis < 3 { 5.0 } else { 0.5 });
         let range = [low - margin, high + margin];
-        let line = |name: &str, color, shape, points| Series {
-            name: name.to_owned(),
-            color,
-            shape,
-            points,
-            spread: Vec::new(),
-        };
         let mut series = Vec::new();
         if !run.shaded.is_empty() {
             let spans = run.shaded.iter().map(|[from, to]| (*from, *to)).collect();
-            series.push(line("a marker is covered", colors::SHADE, Shape::Spans, spans));
+            series.push(Series::new("a marker is covered", colors::SHADE, Shape::Spans, spans));
         }
         series.extend(curves.iter().map(|curve| {
             let shape = if curve.width == 0 { Shape::Dots } else { Shape::Line(curve.width) };
-            line(curve.name, curve.color, shape, points(run, curve, axis, range))
+            Series::new(curve.name, curve.color, shape, points(run, curve, axis, range))
         }));
         let exact = truth.iter().map(|(t, v)| (*t, v[axis])).collect();
-        series.push(line("truth", colors::TRUTH, Shape::Line(1), exact));
+        series.push(Series::new("truth", colors::TRUTH, Shape::Line(1), exact));
         let name = format!("{} [{}]", AXES[axis], UNITS[axis]);
         Panel {
             title: String::new(),

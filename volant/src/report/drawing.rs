@@ -165,10 +165,10 @@ impl Drawing {
     /// Finishes the SVG, `height` px high, with its accessible name.
     pub fn finish(self, height: f64, name: &str) -> String {
         let svg = format!(
-            "<svg width=\"{}\" height=\"{height}\" xmlns=\"http://www.w3.org/2000/svg\">\n\
-             <rect x=\"0\" y=\"0\" width=\"{}\" height=\"{height}\" fill=\"{}\" \
-             stroke=\"none\"/>\n{}</svg>\n",
-            self.width,
+            "<svg width=\"{0}\" height=\"{height}\" xmlns=\"http://www.w3.org/2000/svg\" \
+             viewBox=\"0 0 {0} {height}\">\n\
+             <rect x=\"0\" y=\"0\" width=\"{0}\" height=\"{height}\" fill=\"{1}\" \
+             stroke=\"none\"/>\n{2}</svg>\n",
             self.width,
             hex(colors::BACK),
             self.body

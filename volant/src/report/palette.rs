@@ -92,22 +92,14 @@ pub(super) fn style() -> String {
     css
 }
 
-/// Completes an SVG: it scales, has an accessible name, and a dark scheme.
+/// Completes an SVG that has a `viewBox`: it gets an accessible name, and a dark scheme.
 pub fn finished(svg: &str, name: &str) -> String {
     let svg = &svg[svg.find("<svg").unwrap_or(0)..];
     let Some(end) = svg.find('>') else { return svg.to_owned() };
     let (head, rest) = svg.split_at(end);
-    let attribute = |name: &str| {
-        let start = head.find(&format!(" {name}=\""))? + name.len() + 3;
-        head[start..].split('"').next()?.parse::<f64>().ok()
-    };
-    let view = match (attribute("width"), attribute("height")) {
-        (Some(w), Some(h)) if !head.contains("viewBox") => format!(" viewBox=\"0 0 {w} {h}\""),
-        _ => String::new(),
-    };
     let name = super::page::escape(name);
     format!(
-        "{head}{view} class=\"volant\" role=\"img\" \
+        "{head} class=\"volant\" role=\"img\" \
          aria-label=\"{name}\"><title>{name}</title><style>{}</style>{}",
         style(),
         &rest[1..]
@@ -150,12 +142,9 @@ mod tests {
     }
 
     #[test]
-    fn a_finished_drawing_scales_and_has_a_dark_side() {
-        let made =
-            finished("<?xml?><svg width=\"90\" height=\"40\" xmlns=\"x\"><g/></svg>", "a & b");
-        assert!(made.starts_with(
-            "<svg width=\"90\" height=\"40\" xmlns=\"x\" viewBox=\"0 0 90 40\" class=\"volant\""
-        ));
+    fn a_finished_drawing_has_a_name_and_a_dark_side() {
+        let made = finished("<?xml?><svg width=\"90\" xmlns=\"x\"><g/></svg>", "a & b");
+        assert!(made.starts_with("<svg width=\"90\" xmlns=\"x\" class=\"volant\""), "{made}");
         assert!(made.contains("<title>a &amp; b</title>") && made.ends_with("<g/></svg>"));
         assert!(made.contains("svg.volant [fill=\"#FFFFFF\"]{fill:#1d1e21}"));
     }

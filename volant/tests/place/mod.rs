@@ -2,14 +2,15 @@
 
 #![allow(dead_code, clippy::new_without_default)]
 
-use bag::{BagMessage, BagReader, BagWriter, Topic, WriteOptions};
+use bag::{BagMessage, BagReader, BagWriter, Qos, Topic, WriteOptions};
 use std::{
     fs,
     path::{Path, PathBuf},
     process::{Command, Output},
 };
 use tempfile::TempDir;
-use test_support::process::in_domain;
+use test_support::process::{Running, in_domain};
+use volant_msgs::Message;
 
 /// A folder in which `volant` runs.
 pub struct Place(TempDir);
@@ -103,6 +104,17 @@ pub fn live(domain: u16, arguments: &str) -> Command {
     let mut command = in_domain(domain, env!("CARGO_BIN_EXE_volant"));
     command.args(arguments.split_whitespace());
     command
+}
+
+/// Starts `volant` in a DDS domain, with these words, which are separated by spaces.
+pub fn start(domain: u16, arguments: &str) -> Running {
+    Running::start(&mut live(domain, arguments))
+}
+
+/// Writes a message that is published and logged `at`, ns.
+pub fn put<M: Message>(bag: &mut BagWriter, topic: &str, qos: &Qos, at: u64, message: &M) {
+    let topic = bag.add_topic(Topic::of::<M>(topic, qos));
+    bag.write_message(topic, at, message).unwrap();
 }
 
 /// Copies a bag; `change` may change the topic and the message.

@@ -2,7 +2,7 @@
 
 use crate::geometry::isotropic;
 use nalgebra::Vector2;
-use rig_model::{MarkerObservation, MarkerState, PerColor};
+use rig_model::{MarkerObservation, PerColor};
 
 /// Standard deviation of a whole marker's centroid, per axis, px. On the recorded bags the RMS is
 /// 0.10 to 0.36 px from marker to marker; `tests/bags` bounds the normalized squared error.
@@ -70,13 +70,8 @@ pub(super) fn observe(
                     flow: sighting.flow.unwrap_or_default(),
                     occluded: Some(0),
                 };
-                MarkerObservation {
-                    state: MarkerState::Detected,
-                    occluded_frames: 0,
-                    centroid: sighting.centroid,
-                    covariance: isotropic(DETECTED_SIGMA.hypot(sighting.displacement())),
-                    area: sighting.area as f32,
-                }
+                let covariance = isotropic(DETECTED_SIGMA.hypot(sighting.displacement()));
+                MarkerObservation::detected(sighting.centroid, covariance, sighting.area)
             }
             None => {
                 let Some(before) = place.occluded else { continue };
@@ -84,13 +79,10 @@ pub(super) fn observe(
                 let centroid = place.centroid.filter(|_| since <= max_predicted).map(|c| c + mean);
                 *place = Place { centroid, flow: mean, occluded: Some(since) };
                 match centroid.filter(|_| hidden < TOO_MANY) {
-                    Some(centroid) => MarkerObservation {
-                        state: MarkerState::Predicted,
-                        occluded_frames: since,
-                        centroid,
-                        covariance: isotropic(PREDICTED_SIGMA * f64::from(since)),
-                        area: 0.0,
-                    },
+                    Some(centroid) => {
+                        let covariance = isotropic(PREDICTED_SIGMA * f64::from(since));
+                        MarkerObservation::predicted(since, centroid, covariance)
+                    }
                     None => MarkerObservation::lost(since),
                 }
             }

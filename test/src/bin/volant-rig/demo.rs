@@ -13,7 +13,7 @@ use volant::{
     report::{Block, Curve, Page, Run as Drawn, Section, Table, colors, six_curves},
 };
 use volant_test::{
-    accuracy::{AXES, Errors, UNITS, inertial_alone},
+    accuracy::{AXES, Errors, THRESHOLD, UNITS, inertial_alone},
     live::{Ended, ImageSequence, Run, Scenario, Site, bag, quantile, scenario::IMAGE_RATE},
     report::table,
     run_folder::RunFolder,
@@ -68,7 +68,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     let mut run = Run::start(&scenario, Arc::new(images), &Site::here(&network), &arguments.out)?;
     run.wait_for_pose(20.0)?;
     starting.finish_and_clear();
-    let ids: Vec<String> = run.nodes.iter().map(|n| format!("{} ({})", n.name, n.id())).collect();
+    let ids: Vec<String> = run.nodes.0.iter().map(|n| format!("{} ({})", n.name, n.id())).collect();
     outln!("four nodes on DDS domain {}: {}", network.domain_id, ids.join(", "))?;
 
     let epoch = run.begin();
@@ -99,14 +99,7 @@ fn conclude(arguments: &Arguments, scenario: &Scenario, epoch: Stamp, ended: &En
         .iter()
         .find(|(at, _)| *at >= epoch)
         .context("no fused pose since the swing began; see the nodes' logs")?;
-    let inertial = inertial_alone(
-        &samples,
-        &scenario.rig.imu.volant_from_imu,
-        first,
-        nalgebra::Vector3::zeros(),
-        scenario.sensors.gravity,
-        1e-5,
-    );
+    let inertial = inertial_alone(scenario, &samples, first, THRESHOLD);
     let errors = |track| Errors::of(track, from, to, truth);
     let (of_camera, of_inertial, of_fused) = (errors(&camera), errors(&inertial), errors(&fused));
     let rows = [("camera alone", &of_camera), ("IMU alone", &of_inertial), ("fused", &of_fused)];
@@ -162,7 +155,7 @@ fn conclude(arguments: &Arguments, scenario: &Scenario, epoch: Stamp, ended: &En
     }
 
     let bag_path = arguments.out.join("bag");
-    bag::write(&bag_path, scenario, epoch, &ended.sent, received)?;
+    bag::write(&bag_path, scenario, epoch, received)?;
     let image = arguments.out.join("curves.svg");
     let shaded: Vec<[f64; 2]> = scenario.covers.iter().map(|c| c.seconds).collect();
     let svg = six_curves(
@@ -181,18 +174,15 @@ fn conclude(arguments: &Arguments, scenario: &Scenario, epoch: Stamp, ended: &En
         ],
     )?;
     let page = arguments.out.join("report.html");
-    write(&image, &svg)?;
-    write(&page, &demo_page(arguments, &rows, &numbers, svg).render())?;
+    files::write(&image, svg.as_bytes(), false)?;
+    let text = demo_page(arguments, &rows, &numbers, svg).render();
+    files::write(&page, text.as_bytes(), false)?;
     outln!("\nbag      {}", bag_path.display())?;
     outln!("rig file {}", arguments.out.join("rig.yaml").display())?;
     outln!("figure   {}", image.display())?;
     outln!("report   {}", page.display())?;
     outln!("logs     {}", arguments.out.join("*.log").display())?;
     Ok(())
-}
-
-fn write(path: &std::path::Path, text: &str) -> Result<()> {
-    Ok(files::write(path, text.as_bytes(), false)?)
 }
 
 /// The run as a page.

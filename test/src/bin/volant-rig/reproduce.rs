@@ -17,7 +17,7 @@ use volant_test::{
         curves::Curves,
         occlusion::figure_6,
         peers,
-        report::{TITLE, write_report},
+        report::{TITLE, render},
         stages::Stages,
         stationary::figure_9,
     },
@@ -105,7 +105,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     }
     let report = arguments.out.join("report.html");
     files::check_output(&report, arguments.overwrite || is_report(&report), &[])?;
-    // The work leaves more than is wanted, such as the other names of a job.
+    // The peers leave more than is wanted, such as the other names of a job.
     let work = Pending::new(&arguments.out.join("results"), false)?;
     std::fs::create_dir(&work.temporary).with_context(creating)?;
     let out = &work.temporary;
@@ -159,20 +159,19 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
         });
         let beside = peers.is_some() && (any(&SWEEP) || any(&BOARDS));
         let threads = if beside { cores.saturating_sub(1).max(1) } else { cores.min(4) };
-        let own = simulate(arguments, out, &wanted, &bars, threads);
+        let own = simulate(arguments, &wanted, &bars, threads);
         (own, others.join())
     });
     for part in [own?, others.unwrap_or_default()] {
         results.made.extend(part.made);
         results.missing.extend(part.missing);
     }
-    conclude(arguments, out, results)
+    conclude(arguments, results)
 }
 
 /// What needs the simulated rig alone.
 fn simulate(
     arguments: &Arguments,
-    out: &Path,
     wanted: &dyn Fn(&str) -> bool,
     bars: &MultiProgress,
     threads: usize,
@@ -181,21 +180,21 @@ fn simulate(
     let mut results = Results::default();
     if wanted("fig-9") {
         let _bar = show(bars, "a stationary IMU");
-        results.take("fig-9", figure_9(seed, out));
+        results.take("fig-9", figure_9(seed));
     }
     if wanted("fig-4") || wanted("fig-5") {
         let _bar = show(bars, "the tracker's stages");
         let stages = Stages::of(seed, threads)?;
         if wanted("fig-4") {
-            results.take("fig-4", stages.figure_4(out));
+            results.take("fig-4", stages.figure_4());
         }
         if wanted("fig-5") {
-            results.take("fig-5", stages.figure_5(out));
+            results.take("fig-5", stages.figure_5());
         }
     }
     if wanted("fig-6") {
         let bar = show(bars, "an occluded marker");
-        results.take("fig-6", figure_6(seed, out, threads, |share| set_share(&bar, 0.9 * share)));
+        results.take("fig-6", figure_6(seed, threads, |share| set_share(&bar, 0.9 * share)));
     }
     if wanted("table-2") || wanted("fig-13") {
         let bar = show(bars, "all estimators in a swing");
@@ -205,10 +204,10 @@ fn simulate(
         })?;
         let curves = Curves::of(&scenario, &images)?;
         if wanted("table-2") {
-            results.take("table-2", curves.table_2(&scenario, out));
+            results.take("table-2", Ok(curves.table_2()));
         }
         if wanted("fig-13") {
-            results.take("fig-13", curves.figure_13(&scenario, out));
+            results.take("fig-13", curves.figure_13());
         }
     }
     Ok(results)
@@ -219,8 +218,8 @@ fn is_report(path: &Path) -> bool {
     std::fs::read_to_string(path).is_ok_and(|text| text.contains(TITLE))
 }
 
-/// Gives the wanted files from `work` their names in the output folder.
-fn conclude(arguments: &Arguments, work: &Path, mut results: Results) -> Result<()> {
+/// Writes what was made to the output folder.
+fn conclude(arguments: &Arguments, mut results: Results) -> Result<()> {
     let place = |name: &str| NAMES.iter().position(|n| *n == name);
     results.made.sort_by_key(|m| place(m.name));
     results.missing.sort_by_key(|m| place(m.0));
@@ -233,20 +232,16 @@ fn conclude(arguments: &Arguments, work: &Path, mut results: Results) -> Result<
         ("Machine", machine()),
     ]
     .map(|(name, value)| (name.to_owned(), value));
-    write_report(work, &facts, &results.made, &results.missing)?;
-    let publish = |path: &Path, overwrite: bool| -> Result<PathBuf> {
-        let name = path.file_name().unwrap_or_default();
-        let target = arguments.out.join(name);
-        files::write(&target, &std::fs::read(work.join(name))?, overwrite)?;
-        Ok(target)
-    };
     for m in &results.made {
-        publish(&m.svg, arguments.overwrite)?;
-        let csv = publish(&m.csv, arguments.overwrite)?;
+        let path = |ending: &str| arguments.out.join(format!("{}.{ending}", m.name));
+        let (csv, svg) = (path("csv"), path("svg"));
+        files::write(&svg, m.svg.as_bytes(), arguments.overwrite)?;
+        files::write(&csv, m.csv.as_bytes(), arguments.overwrite)?;
         outln!("{}: {}\n    {}", m.name, csv.display(), m.shows)?;
     }
+    let page = render(facts.into(), &results.made, &results.missing);
     let report = arguments.out.join("report.html");
-    let report = publish(&report, arguments.overwrite || is_report(&report))?;
+    files::write(&report, page.as_bytes(), arguments.overwrite || is_report(&report))?;
     outln!("report: {}", report.display())?;
     if !results.missing.is_empty() {
         let mut reasons: Vec<(String, Vec<&str>)> = Vec::new();

@@ -1,52 +1,49 @@
 //! Threads of the hardware: camera, encoders and IMU.
 
-use super::{ImageSequence, LEAD, SensorMessage, Shared, lock, topics::Publishers};
-use crate::live::{
-    messages::{compressed_image, joint_state},
-    scenario::{EXPOSURE, IMAGE_RATE},
+use super::{
+    FaultInjector, ImageSequence, LEAD, Shared, lock,
+    topics::{ListOf, Publishers},
 };
+use crate::live::scenario::{EXPOSURE, IMAGE_RATE};
 use imu_driver::simulated_imu::{SimulatedSample, Source, pty::now};
 use nalgebra::{UnitQuaternion, Vector3};
-use node_kit::convert;
+use node_kit::{convert, node::Publisher};
 use rig_model::Stamp;
 use rig_simulator::random::Random;
 use std::{
     sync::{Arc, atomic::Ordering},
     time::Duration,
 };
+use volant_msgs::{
+    Message,
+    sensor_msgs::msg::{CompressedImage, JointState},
+};
 
-/// Publishes a message, or what the fault injector makes of it.
-fn emit(shared: &Shared, publishers: &Publishers, message: SensorMessage) {
-    let messages = match lock(&shared.injector).as_mut() {
-        Some(injector) => injector(message),
-        None => vec![(Duration::ZERO, message)],
-    };
+/// Publishes messages, each after its delay, and keeps those on time in `list`, from shortly before
+/// the scenario's zero on.
+fn emit<M: Message>(
+    shared: &Shared,
+    publisher: &Publisher<M>,
+    list: ListOf<M>,
+    messages: Vec<(Duration, M)>,
+) {
     for (delay, message) in messages {
+        let message = Arc::new(message);
         if delay.is_zero() {
-            record(shared, &message);
-            publishers.publish(message);
+            let now = now();
+            if !shared.endless && shared.seconds(now) >= -LEAD {
+                list(&mut lock(&shared.received)).push((now, Arc::clone(&message)));
+            }
+            publisher.publish_shared(message);
             continue;
         }
-        // Only messages on time are recorded. A delayed one waits on a thread of its own.
-        let publishers = publishers.clone();
+        // A delayed one waits on a thread of its own.
+        let publisher = publisher.clone();
         let late = move || {
             std::thread::sleep(delay);
-            publishers.publish(message);
+            publisher.publish_shared(message);
         };
         let _ = std::thread::Builder::new().name("late".to_owned()).spawn(late);
-    }
-}
-
-fn record(shared: &Shared, message: &SensorMessage) {
-    let now = now();
-    if shared.endless || shared.seconds(now) < -LEAD {
-        return;
-    }
-    let mut sent = lock(&shared.sent);
-    match message {
-        SensorMessage::Image(m) => sent.images.push((now, m.clone())),
-        SensorMessage::CameraInfo(m) => sent.camera_info.push((now, m.clone())),
-        SensorMessage::Joints(m) => sent.joints.push((now, m.clone())),
     }
 }
 
@@ -60,10 +57,19 @@ pub(super) fn camera(shared: &Shared, publishers: &Publishers, images: &ImageSeq
             return;
         }
         let shown = shared.climber_clock(stamp);
-        let image = compressed_image(shown, frame_id, jpeg.to_vec());
-        emit(shared, publishers, SensorMessage::Image(image));
+        let image = CompressedImage {
+            header: convert::header(frame_id, shown),
+            format: "rgb8; jpeg compressed bgr8".to_owned(),
+            data: jpeg.to_vec(),
+        };
+        let images = match lock(&shared.injector).as_mut() {
+            Some(FaultInjector::Images(replace)) => replace(image),
+            _ => vec![(Duration::ZERO, image)],
+        };
+        emit(shared, &publishers.image, |log| &mut log.images, images);
         let info = convert::camera_message(frame_id, shown, &shared.scenario.camera);
-        emit(shared, publishers, SensorMessage::CameraInfo(info));
+        let info = vec![(Duration::ZERO, info)];
+        emit(shared, &publishers.camera_info, |log| &mut log.camera_info, info);
     };
     let mut stamp = now();
     'still: loop {
@@ -107,9 +113,18 @@ pub(super) fn encoders(shared: &Shared, publishers: &Publishers) {
     while !shared.stopped() {
         stamp = stamp.plus_seconds(1.0 / shared.scenario.sensors.climber_rate);
         shared.sleep_until(stamp);
-        let shown = shared.climber_clock(stamp);
-        let joints = joint_state(&shared.scenario, &mut random, shared.seconds(stamp), shown);
-        emit(shared, publishers, SensorMessage::Joints(joints));
+        let sensors = shared.scenario.simulated_sensors();
+        let joints = JointState {
+            header: convert::header("", shared.climber_clock(stamp)),
+            name: ["rail_x", "rail_y", "turn"].map(str::to_owned).to_vec(),
+            position: sensors.encoders(shared.seconds(stamp), &mut random).to_vec(),
+            ..JointState::default()
+        };
+        let readings = match lock(&shared.injector).as_mut() {
+            Some(FaultInjector::Joints(replace)) => replace(joints),
+            _ => vec![(Duration::ZERO, joints)],
+        };
+        emit(shared, &publishers.joints, |log| &mut log.joints, readings);
     }
 }
 

@@ -29,32 +29,19 @@ use std::{
     time::Duration,
 };
 use topics::{RigPublisher, RigSubscriber};
-use volant_msgs::sensor_msgs::msg::{CameraInfo, CompressedImage, JointState};
+use volant_msgs::sensor_msgs::msg::{CompressedImage, JointState};
 
-/// A sensor message before its publication, for a fault injector.
-#[derive(Clone, Debug)]
-#[allow(clippy::large_enum_variant, reason = "each one is handed on at once")]
-pub enum SensorMessage {
-    /// An image; its camera info follows it.
-    Image(CompressedImage),
-    CameraInfo(CameraInfo),
-    Joints(JointState),
+/// Replaces a message before its publication by others, each with a delay.
+pub type Replace<M> = Box<dyn FnMut(M) -> Vec<(Duration, M)> + Send>;
+
+/// A fault of the camera or the encoders.
+pub enum FaultInjector {
+    Images(Replace<CompressedImage>),
+    Joints(Replace<JointState>),
 }
-
-/// Replaces a message by others, each with a delay.
-pub type FaultInjector = Box<dyn FnMut(SensorMessage) -> Vec<(Duration, SensorMessage)> + Send>;
 
 /// Time before the scenario's zero at which a record begins, s: a filter may start stationary.
 pub(super) const LEAD: f64 = 0.5;
-
-/// Published sensor messages with the instant of publication.
-#[derive(Clone, Debug, Default)]
-pub struct Sent {
-    /// Images with their stamps, from the run's first one on.
-    pub images: Vec<(Stamp, CompressedImage)>,
-    pub camera_info: Vec<(Stamp, CameraInfo)>,
-    pub joints: Vec<(Stamp, JointState)>,
-}
 
 struct Shared {
     scenario: Scenario,
@@ -69,21 +56,21 @@ struct Shared {
     endless: bool,
     stop: AtomicBool,
     injector: Mutex<Option<FaultInjector>>,
-    sent: Mutex<Sent>,
     received: Arc<Mutex<Received>>,
 }
 
 impl Shared {
-    /// Seconds of the scenario; far below zero before it starts.
-    fn seconds(&self, at: Stamp) -> f64 {
+    /// Seconds since the scenario's zero; far below zero before it starts.
+    fn elapsed(&self, at: Stamp) -> f64 {
         match self.epoch.load(Ordering::Relaxed) {
             i64::MAX => -100.0,
-            epoch => self.lap(at.seconds_since(Stamp::from_nanos(epoch))),
+            epoch => at.seconds_since(Stamp::from_nanos(epoch)),
         }
     }
 
-    /// In an endless run, the time of the lap.
-    fn lap(&self, seconds: f64) -> f64 {
+    /// Seconds of the scenario; in an endless run, of its lap.
+    fn seconds(&self, at: Stamp) -> f64 {
+        let seconds = self.elapsed(at);
         if self.endless && seconds > 0.0 { seconds % self.scenario.duration() } else { seconds }
     }
 
@@ -156,7 +143,6 @@ impl SimulatedHardware {
             endless: site.endless,
             stop: AtomicBool::new(false),
             injector: Mutex::new(None),
-            sent: Mutex::default(),
             received,
         });
         let imu =
@@ -187,10 +173,7 @@ impl SimulatedHardware {
 
     /// Seconds of the scenario now (of all its laps, where it is endless).
     pub fn seconds(&self) -> f64 {
-        match self.shared.epoch.load(Ordering::Relaxed) {
-            i64::MAX => -100.0,
-            epoch => now().seconds_since(Stamp::from_nanos(epoch)),
-        }
+        self.shared.elapsed(now())
     }
 
     /// What was received since the last call; it is forgotten here.
@@ -201,11 +184,6 @@ impl SimulatedHardware {
     /// Messages received so far. Hold the guard briefly: the subscriber waits meanwhile.
     pub fn received(&self) -> MutexGuard<'_, Received> {
         lock(&self.shared.received)
-    }
-
-    /// Sensor messages published so far, from the scenario's zero on.
-    pub fn sent(&self) -> Sent {
-        lock(&self.shared.sent).clone()
     }
 
     /// Sets the fault injector for camera and encoders; `None` removes it.

@@ -1,12 +1,13 @@
 //! The hardware's publishers and the subscriber to the nodes' topics.
 
-use super::{Received, SensorMessage, lock};
+use super::lock;
+use crate::live::received::{Received, TopicLog};
 use imu_driver::simulated_imu::pty::now;
 use node_kit::{
     node::{NodeContext, NodeError, NodeShell, Publisher},
     qos::QosPreset,
 };
-use rig_model::{Stamp, topics};
+use rig_model::topics;
 use std::sync::{Arc, Mutex, mpsc::SyncSender};
 use volant_msgs::{
     Message,
@@ -19,16 +20,6 @@ pub(super) struct Publishers {
     pub(super) image: Publisher<CompressedImage>,
     pub(super) camera_info: Publisher<CameraInfo>,
     pub(super) joints: Publisher<JointState>,
-}
-
-impl Publishers {
-    pub(super) fn publish(&self, message: SensorMessage) {
-        match message {
-            SensorMessage::Image(m) => self.image.publish(m),
-            SensorMessage::CameraInfo(m) => self.camera_info.publish(m),
-            SensorMessage::Joints(m) => self.joints.publish(m),
-        }
-    }
 }
 
 /// The climber's computer: camera and encoders.
@@ -96,7 +87,7 @@ impl RigSubscriber {
 }
 
 /// Where the messages of a topic are kept.
-type ListOf<M> = fn(&mut Received) -> &mut Vec<(Stamp, Arc<M>)>;
+pub(super) type ListOf<M> = fn(&mut Received) -> &mut TopicLog<M>;
 
 /// Keeps every message of a topic with its time of receipt, read on the receiving thread.
 fn subscribe<M: Message>(

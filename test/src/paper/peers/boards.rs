@@ -1,7 +1,7 @@
 //! Figs. 2 and 7: pose from chessboards and from four markers.
 
 use super::{Csv, distinct, label, rounded_up};
-use crate::paper::{Made, Value, axis, table, write};
+use crate::paper::{Made, Value, axis, table};
 use anyhow::Result;
 use std::path::Path;
 use volant::report::{Panel, Series, Shape, Sheet, panels};
@@ -48,11 +48,10 @@ pub fn boards(which: &'static str, folder: &Path) -> Result<Made> {
     } else {
         "Fig. 7: pose from a chessboard and from four markers"
     };
-    let drawn = panels(
+    let svg = panels(
         Sheet { title, size: (1120, 520), grid: (1, 2) },
         &[panel("translation", "mm", &mm, &mm_std), panel("rotation", "deg", &deg, &deg_std)],
     )?;
-    let svg = write(folder, &format!("{which}.svg"), &drawn)?;
     // Over all angles, each weighted by the poses it has.
     let (mut rows, mut means) = (Vec::new(), Vec::new());
     for name in &names {
@@ -117,7 +116,7 @@ pub fn boards(which: &'static str, folder: &Path) -> Result<Made> {
     Ok(Made {
         name: which,
         title,
-        csv: csv.path,
+        csv: csv.text,
         svg,
         table: Some(table(["from", "found", "mean [mm]", "mean [deg]"], rows)),
         values,

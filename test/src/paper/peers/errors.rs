@@ -4,7 +4,6 @@ use super::{Csv, label, named, rounded_up};
 use crate::paper::{
     Made, Value, axis,
     bars::{Bars, draw_bars},
-    read, write,
 };
 use anyhow::Result;
 use std::path::Path;
@@ -13,10 +12,8 @@ use volant::report::{Color, Table};
 pub fn figure_12(folder: &Path) -> Result<Made> {
     let csv = Csv::read(folder.join("fig-12.csv"))?;
     let methods = csv.texts("method")?;
-    let columns = ["mean_mm", "std_mm", "mean_deg", "std_deg"];
-    let values = columns.map(|c| csv.numbers(c));
-    let [mm, mm_std, deg, deg_std] = values;
-    let (mm, mm_std, deg, deg_std) = (mm?, mm_std?, deg?, deg_std?);
+    let (mm, mm_std) = (csv.numbers("mean_mm")?, csv.numbers("std_mm")?);
+    let (deg, deg_std) = (csv.numbers("mean_deg")?, csv.numbers("std_deg")?);
     let title = "Fig. 12: mean error and standard deviation";
     let rows: Vec<(String, Color)> = methods.iter().map(|name| label(name)).collect();
     let panel = |what: &str, means: &[f64], spread: &[f64]| {
@@ -32,7 +29,7 @@ pub fn figure_12(folder: &Path) -> Result<Made> {
         }
     };
     let panels = [panel("translation [mm]", &mm, &mm_std), panel("rotation [deg]", &deg, &deg_std)];
-    let svg = write(folder, "fig-12.svg", &draw_bars(title, &rows, 2, &panels))?;
+    let svg = draw_bars(title, &rows, 2, &panels);
     let best = |values: &[f64]| {
         (0..values.len())
             .filter(|i| values[*i].is_finite())
@@ -88,10 +85,10 @@ pub fn figure_12(folder: &Path) -> Result<Made> {
         name: "fig-12",
         title,
         table: Some(named(
-            Table::from_csv(&read(&csv.path)?, 3, false),
+            Table::from_csv(&csv.text, 3, false),
             &["method", "mean [mm]", "deviation [mm]", "mean [deg]", "deviation [deg]"],
         )),
-        csv: csv.path,
+        csv: csv.text,
         svg,
         values: vec![
             Value::new(

@@ -13,8 +13,7 @@ pub use errors::figure_12;
 pub use success::figure_11;
 pub use times::table_1;
 
-use super::read;
-use anyhow::{Error, Result, anyhow};
+use anyhow::{Context, Error, Result, anyhow};
 use std::{
     collections::BTreeSet,
     io::{BufRead, BufReader},
@@ -74,16 +73,17 @@ pub fn run(
 /// A CSV whose columns are asked for by name.
 struct Csv {
     path: PathBuf,
+    text: String,
     head: Vec<String>,
     rows: Vec<Vec<String>>,
 }
 
 impl Csv {
     fn read(path: PathBuf) -> Result<Self> {
-        let text = read(&path)?;
+        let text = std::fs::read_to_string(&path).with_context(|| path.display().to_string())?;
         let mut lines = text.lines().map(cells);
         let head = lines.next().unwrap_or_default();
-        let csv = Self { path, rows: lines.collect(), head };
+        let csv = Self { rows: lines.collect(), path, text, head };
         if csv.rows.is_empty() || csv.rows.iter().any(|r| r.len() != csv.head.len()) {
             return Err(csv.wrong("it has no rows, or rows of another length than its head"));
         }
@@ -167,33 +167,27 @@ fn rounded_up(v: f64) -> f64 {
 mod tests {
     use super::*;
 
-    fn folder(name: &str) -> PathBuf {
-        let folder =
-            std::env::temp_dir().join(format!("volant-peers-{name}-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
-        folder
-    }
-
     #[test]
     fn a_better_peer_is_named() {
-        let folder = folder("better");
+        let folder = tempfile::tempdir().unwrap();
         std::fs::write(
-            folder.join("fig-11.csv"),
+            folder.path().join("fig-11.csv"),
             "sweep,value,method,success,mean_mm\nangle_deg,0,volant: all,0.5,1\nangle_deg,0,ArUco \
              36h11,0.75,1\n\
              distance_m,1,volant: all,1,1\ndistance_m,1,ArUco 36h11,0.5,1\n",
         )
         .unwrap();
-        let made = figure_11(&folder).unwrap();
+        let made = figure_11(folder.path()).unwrap();
         assert!(made.shows.contains("at 0° ArUco 36h11 (75 against 50 %)"), "{}", made.shows);
         std::fs::write(
-            folder.join("fig-12.csv"),
+            folder.path().join("fig-12.csv"),
             "method,mean_mm,std_mm,mean_deg,std_deg\n\"volant: all, and \
              pose\",0.3,0.1,0.02,0.01\nArUco 36h11,0.2,0.2,0.1,0.1\n",
         )
         .unwrap();
-        std::fs::write(folder.join("bench.csv"), "method,gross_errors\nArUco 36h11,3\n").unwrap();
-        let made = figure_12(&folder).unwrap();
+        std::fs::write(folder.path().join("bench.csv"), "method,gross_errors\nArUco 36h11,3\n")
+            .unwrap();
+        let made = figure_12(folder.path()).unwrap();
         assert!(
             made.shows.contains("deviation: ArUco 36h11 and four markers, default (translation)"),
             "{}",
@@ -203,33 +197,30 @@ mod tests {
             made.shows.contains("not below ArUco")
                 && made.shows.contains("ArUco 36h11 in 3 images")
         );
-        std::fs::remove_dir_all(&folder).unwrap();
     }
 
     #[test]
     fn stages_that_share_a_time_refer_to_its_row() {
-        let folder = folder("stages");
+        let folder = tempfile::tempdir().unwrap();
         std::fs::write(
-            folder.join("table-1.csv"),
+            folder.path().join("table-1.csv"),
             "stage,published_ms,plain_opencv_ms,ours_ms\noptical flow,1.5,2,\nflow, tracking and \
              extraction,6.91,3,0.04\nextrinsics,0.36,0.1,0.002\ntotal,7.27,3.1,0.042\n"
                 .replace("flow, tracking and extraction", "\"flow, tracking and extraction\""),
         )
         .unwrap();
-        let rows = table_1(&folder).unwrap().table.unwrap().rows;
+        let rows = table_1(folder.path()).unwrap().table.unwrap().rows;
         assert_eq!(rows[0][3].0, "in one pass, below");
         assert_eq!(rows[1][0].0, "flow, tracking and extraction");
         assert!(rows.iter().flatten().all(|cell| !cell.0.is_empty()));
-        std::fs::remove_dir_all(&folder).unwrap();
     }
 
     #[test]
     fn a_table_of_another_version_is_rejected_by_name() {
-        let folder = folder("other");
-        std::fs::write(folder.join("table-1.csv"), "stage,ours_ms\ntotal,1\n").unwrap();
-        let error = table_1(&folder).unwrap_err().to_string();
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("table-1.csv"), "stage,ours_ms\ntotal,1\n").unwrap();
+        let error = table_1(folder.path()).unwrap_err().to_string();
         assert!(error.contains("table-1.csv") && error.contains("published_ms"), "{error}");
-        std::fs::remove_dir_all(&folder).unwrap();
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Fig. 11: share of poses within 5 mm and 1°, by method.
 
 use super::{Csv, distinct, label};
-use crate::paper::{Made, Value, axis, series, table, write};
+use crate::paper::{Made, Value, axis, series, table};
 use anyhow::Result;
 use std::path::Path;
 use volant::report::{Panel, Shape, Sheet, panels};
@@ -30,7 +30,7 @@ pub fn figure_11(folder: &Path) -> Result<Made> {
             .collect(),
     };
     let title = "Fig. 11: success, a pose within 5 mm and 1°";
-    let drawn = panels(
+    let svg = panels(
         Sheet { title, size: (1120, 540), grid: (1, 2) },
         &[
             panel(
@@ -42,7 +42,6 @@ pub fn figure_11(folder: &Path) -> Result<Made> {
             panel("distance_m", "over the distance, at 20°", "distance [m]", [0.4, 3.1]),
         ],
     )?;
-    let svg = write(folder, "fig-11.svg", &drawn)?;
     let mean = |m: &str, which: Option<&str>| {
         let values: Vec<f64> = (0..methods.len())
             .filter(|i| methods[*i] == m && which.is_none_or(|w| sweep[*i] == w))
@@ -93,7 +92,7 @@ pub fn figure_11(folder: &Path) -> Result<Made> {
     Ok(Made {
         name: "fig-11",
         title,
-        csv: csv.path,
+        csv: csv.text,
         svg,
         table: Some(table),
         values: vec![Value::new(

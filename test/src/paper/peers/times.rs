@@ -4,7 +4,6 @@ use super::{Csv, named};
 use crate::paper::{
     Made, Value, axis,
     bars::{Bars, decades, draw_bars},
-    read, write,
 };
 use anyhow::Result;
 use std::path::Path;
@@ -16,10 +15,8 @@ const SHARED: &str = "in one pass, below";
 pub fn table_1(folder: &Path) -> Result<Made> {
     let csv = Csv::read(folder.join("table-1.csv"))?;
     let stages = csv.texts("stage")?;
-    let columns = ["published_ms", "plain_opencv_ms", "ours_ms"];
-    let values = columns.map(|c| csv.numbers(c));
-    let [published, plain, ours] = values;
-    let values = [published?, plain?, ours?];
+    let values =
+        [csv.numbers("published_ms")?, csv.numbers("plain_opencv_ms")?, csv.numbers("ours_ms")?];
     let total =
         stages.iter().position(|s| s == "total").ok_or_else(|| csv.wrong("no row `total`"))?;
     let title = "Table I: time of one pose, by stage";
@@ -36,10 +33,10 @@ pub fn table_1(folder: &Path) -> Result<Made> {
             spread: Vec::new(),
         })
         .collect();
-    let svg = write(folder, "table-1.svg", &draw_bars(title, &rows, 3, &panels))?;
+    let svg = draw_bars(title, &rows, 3, &panels);
     let [published, plain, ours] = values.map(|v| v[total]);
     let mut table = named(
-        Table::from_csv(&read(&csv.path)?, 3, false),
+        Table::from_csv(&csv.text, 3, false),
         &["stage", "published [ms]", "recipe in plain OpenCV [ms]", "default tracker [ms]"],
     );
     let cells = table.rows.iter_mut().flat_map(|row| row.iter_mut());
@@ -49,7 +46,7 @@ pub fn table_1(folder: &Path) -> Result<Made> {
         name: "table-1",
         title,
         table: Some(table),
-        csv: csv.path,
+        csv: csv.text,
         svg,
         values: vec![
             Value::new("one pose, recipe in plain OpenCV", &rate(published), rate(plain)),

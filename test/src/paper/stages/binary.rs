@@ -3,12 +3,12 @@
 use super::{SHARE, Shot, Stages, chart_color, layer};
 use crate::{
     live::quantile,
-    paper::{Made, Value, write},
+    paper::{Made, Value},
 };
 use anyhow::Result;
 use nalgebra::Vector2;
 use rig_model::MarkerColor;
-use std::{fmt::Write, path::Path};
+use std::fmt::Write;
 use volant::report::{Anchor, Drawing, Ink, colors};
 
 const TITLE: &str = "Fig. 4: binary images and optical flow";
@@ -28,7 +28,7 @@ struct Tally {
 }
 
 impl Stages {
-    pub fn figure_4(&self, folder: &Path) -> Result<Made> {
+    pub fn figure_4(&self) -> Result<Made> {
         let mut csv = String::from(concat!(
             "marker,x_px,y_px,flow_x_px,flow_y_px,true_flow_x_px,true_flow_y_px,",
             "largest_layer_value,pixels_over_literal_0.75,",
@@ -38,14 +38,12 @@ impl Stages {
         let mut tally = Tally { least_difference: f64::INFINITY, ..Tally::default() };
         let binary: Vec<Vec<u8>> =
             self.0.iter().map(|shot| shot.binary_image(&mut csv, &mut tally)).collect();
-        let svg = write(folder, "fig-4.svg", &self.draw_4(&binary)?)?;
-        let path = write(folder, "fig-4.csv", &csv)?;
         let layers = 4 * self.0.len();
         Ok(Made {
             name: "fig-4",
             title: TITLE,
-            csv: path,
-            svg,
+            csv,
+            svg: self.draw_4(&binary)?,
             table: None,
             values: vec![
                 Value::new(

@@ -1,11 +1,11 @@
 //! Fig. 5: hue histograms of the markers.
 
 use super::{Shot, Stages, chart_color};
-use crate::paper::{Made, Value, axis, series, table, write};
+use crate::paper::{Made, Value, axis, series, table};
 use anyhow::Result;
 use marker_tracker::hue;
 use rig_model::{MarkerColor, PerColor};
-use std::{fmt::Write, path::Path};
+use std::fmt::Write;
 use volant::report::{Panel, Shape, Sheet, colors, panels};
 
 const TITLE: &str = "Fig. 5: hue histograms of the markers";
@@ -13,7 +13,7 @@ const TITLE: &str = "Fig. 5: hue histograms of the markers";
 const WINDOW: &str = "4.5 px across the predicted edges";
 
 impl Stages {
-    pub fn figure_5(&self, folder: &Path) -> Result<Made> {
+    pub fn figure_5(&self) -> Result<Made> {
         let [.., shot] = &self.0;
         let estimated: PerColor<Vec<f32>> =
             PerColor::from_fn(|c| shot.seen[c].as_ref().map(|s| s.hue.clone()).unwrap_or_default());
@@ -27,8 +27,6 @@ impl Stages {
             }
             let _ = writeln!(csv, ",{rest:.5}");
         }
-        let path = write(folder, "fig-5.csv", &csv)?;
-        let svg = write(folder, "fig-5.svg", &draw_5(&estimated, &around)?)?;
         let rows = estimated.iter().filter(|(_, h)| !h.is_empty()).map(|(color, h)| {
             let peak = (0..bins).max_by(|a, b| h[*a].total_cmp(&h[*b])).unwrap_or(0);
             let near = |values: &[f32]| -> f32 {
@@ -46,8 +44,8 @@ impl Stages {
         Ok(Made {
             name: "fig-5",
             title: TITLE,
-            csv: path,
-            svg,
+            csv,
+            svg: draw_5(&estimated, &around)?,
             table: Some(table(head, rows)),
             values: vec![
                 Value::new("search window around the previous center", "at least 25 px", WINDOW),

@@ -129,7 +129,8 @@ fn recover(paths: &[PathBuf], out: &Path, options: WriteOptions) -> anyhow::Resu
         losses.extend_from_slice(reader.losses());
     }
     losses.iter().for_each(terminal::warn);
-    anyhow::ensure!(messages > 0, "{}: no readable message", terminal::name(&paths[0]));
+    let name = paths[0].file_name().unwrap_or(paths[0].as_os_str());
+    anyhow::ensure!(messages > 0, "{}: no readable message", name.display());
     let bag = writer.finish()?;
     outln!("{messages} messages, {}, in {}", terminal::mebibytes(bag.bytes), out.display())?;
     Ok(())

@@ -1,7 +1,7 @@
 //! `volant check`.
 
 use crate::{
-    settings::{self, BagTopics, Settings},
+    settings::{self, BagTopics},
     terminal,
 };
 use anyhow::Context;
@@ -9,7 +9,7 @@ use node_kit::{files, outln};
 use rig_calibration::{Report, Verdict};
 use serde_json::json;
 use std::path::{Path, PathBuf};
-use volant::calibration::{Cores, check_bag};
+use volant::calibration::check_bag;
 
 /// Bag and files to compare.
 #[derive(clap::Args)]
@@ -39,12 +39,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<bool> {
     let inputs = [&arguments.bag, &arguments.rig].into_iter().chain(more).map(PathBuf::as_path);
     let outputs: Vec<&Path> = arguments.json.as_deref().into_iter().collect();
     files::check_outputs(&outputs, arguments.overwrite, &inputs.collect::<Vec<_>>())?;
-    let Settings { rig, tracker, fusion, climber } =
-        settings::read(&arguments.rig, more, &arguments.topics.namespace)?;
-    let cores = Cores { tracker, climber, names: arguments.topics.names() };
-    let climber_offset = fusion.tight.clock.climber_offset;
+    let cores = settings::read(&arguments.rig, more, &arguments.topics)?;
     let mut losses = vec![];
-    let report = check_bag(&arguments.bag, &rig, &cores, climber_offset, &mut losses);
+    let report = check_bag(&arguments.bag, &cores, &mut losses);
     let report = terminal::with_losses(report.context("check"), &losses)?;
     if let Some(path) = &arguments.json {
         let text = serde_json::to_string_pretty(&as_json(&report))? + "\n";

@@ -21,7 +21,7 @@ mod up;
 
 use clap::{Parser, Subcommand};
 use std::{ffi::OsString, process::ExitCode};
-use volant::command_line;
+use volant::{command_line, live::play::PlayOptions};
 
 #[global_allocator]
 static ALLOCATOR: node_kit::Allocator = node_kit::Allocator;
@@ -65,7 +65,7 @@ enum Action {
     /// Record live topics to a bag
     Record(record::Arguments),
     /// Play a bag to live topics
-    Play(play::Arguments),
+    Play(PlayOptions),
     /// Show live topics on a terminal: poses, markers, rates, delays, losses, diagnostics
     Monitor(monitor::Arguments),
     /// Serve live topics to Foxglove over its WebSocket protocol, without ROS
@@ -102,7 +102,7 @@ fn main() -> ExitCode {
         Action::Bag(action) => bag::run(&action),
         Action::Up { words } => return up::run(words),
         Action::Record(arguments) => record::run(&arguments),
-        Action::Play(arguments) => play::run(&arguments),
+        Action::Play(options) => play::run(&options),
         Action::Monitor(arguments) => monitor::run(&arguments),
         Action::Foxglove(arguments) => foxglove::run(&arguments),
         Action::Completions { shell } => commands::completions(shell),

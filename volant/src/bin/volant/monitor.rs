@@ -12,7 +12,7 @@ use std::{
     time::Duration,
 };
 use volant::{
-    command_line::number,
+    command_line::seconds,
     live::monitor::{Snapshot, Watch, plain, screen},
 };
 
@@ -31,8 +31,8 @@ pub struct Arguments {
     #[arg(long, conflicts_with = "once")]
     plain: bool,
     /// Time before the first snapshot and between two, s
-    #[arg(long, value_name = "SECONDS", default_value_t = 3.0, value_parser = number(0.1..=3600.0))]
-    interval: f64,
+    #[arg(long, value_name = "SECONDS", default_value = "3", value_parser = seconds(0.1..=3600.0))]
+    interval: Duration,
 }
 
 /// Period of discovery.
@@ -50,7 +50,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         return on_screen(&mut watch, &stop);
     }
     loop {
-        listen(&mut watch, &stop, Duration::from_secs_f64(arguments.interval));
+        listen(&mut watch, &stop, arguments.interval);
         let snapshot = watch.snapshot();
         anyhow::ensure!(!arguments.once || !snapshot.topics.is_empty(), plain::nothing(&snapshot));
         // A closed pipe ends it.

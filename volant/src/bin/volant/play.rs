@@ -7,87 +7,28 @@ use rig_model::topics::absolute::CLOCK;
 use signal_hook::consts::SIGUSR1;
 use std::{
     io::Read,
-    path::PathBuf,
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
     },
-    time::Duration,
 };
-use volant::{
-    command_line::number,
-    live::play::{PlayOptions, play},
-    replay::{Remap, TopicNames},
-};
+use volant::live::play::{PlayOptions, play};
 
-#[derive(clap::Args)]
-pub struct Arguments {
-    /// Bag: an .mcap file or a rosbag2 folder
-    input: PathBuf,
-    /// Playback rate; 2 is twice as fast as recorded
-    #[arg(short, long, default_value_t = 1.0, value_parser = number(1e-3..=1e3))]
-    rate: f64,
-    /// Restart at the end
-    #[arg(short = 'l', long = "loop")]
-    repeat: bool,
-    /// Time to skip at the start, s
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, value_parser = number(0.0..=1e9))]
-    start_offset: f64,
-    /// Time to wait for subscribers before the first message, s
-    #[arg(
-        short,
-        long,
-        value_name = "SECONDS",
-        default_value_t = 0.5,
-        value_parser = number(0.0..=3600.0)
-    )]
-    delay: f64,
-    /// Start paused; the space bar and SIGUSR1 resume and pause
-    #[arg(short, long)]
-    paused: bool,
-    /// Publish /clock at this rate, Hz [without a value: 40]
-    #[arg(
-        long,
-        value_name = "HZ",
-        num_args = 0..=1,
-        default_missing_value = "40",
-        value_parser = number(1e-3..=1e3)
-    )]
-    clock: Option<f64>,
-    /// Play only these topics
-    #[arg(long, value_name = "TOPIC", num_args = 1..)]
-    topics: Vec<String>,
-    /// Remap a topic, FROM:=TO; repeatable
-    #[arg(short = 'm', long, value_name = "FROM:=TO", num_args = 1..)]
-    remap: Vec<Remap>,
-}
-
-pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let seconds = |s: f64| Duration::try_from_secs_f64(s.max(0.0)).unwrap_or(Duration::MAX);
-    let options = PlayOptions {
-        input: arguments.input.clone(),
-        rate: arguments.rate,
-        repeat: arguments.repeat,
-        start_offset: seconds(arguments.start_offset),
-        delay: seconds(arguments.delay),
-        clock_hz: arguments.clock,
-        topics: arguments.topics.iter().map(|t| TopicNames::default().resolve(t)).collect(),
-        names: TopicNames::new("", &arguments.remap),
-    };
+pub fn run(options: &PlayOptions) -> anyhow::Result<()> {
     let known = BagReader::summary(&options.input)?.topics;
     let (present, absent): (Vec<_>, Vec<_>) =
         options.topics.iter().partition(|name| known.iter().any(|(t, _)| t.name == **name));
     // Without any of them, playing fails.
     for name in absent.iter().filter(|name| !present.is_empty() && **name != CLOCK) {
-        let bag = arguments.input.display();
+        let bag = options.input.display();
         terminal::warn(format!("{bag}: no topic {name}; see `volant bag info {bag}`"));
     }
     let stop = node_kit::console::stop_flag()?;
-    let paused = Arc::new(AtomicBool::new(arguments.paused));
+    let paused = Arc::new(AtomicBool::new(options.paused));
     signals::on(&[SIGUSR1], toggle(Arc::clone(&paused)))?;
     let keys = Keys::listen(toggle(Arc::clone(&paused)));
     let bar = terminal::spinner();
-    let result = play(&options, &stop, &paused, |time, (first, last)| {
+    let result = play(options, &stop, &paused, |time, (first, last)| {
         let at = |t: u64| t.saturating_sub(first) as f64 * 1e-9;
         let hint = if keys.is_some() { "; space pauses" } else { "" };
         bar.set_message(format!("playing {:.1} of {:.1} s{hint}", at(time), at(last)));
@@ -103,7 +44,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             report.rejected
         ));
     }
-    outln!("{} messages of {}", report.messages, arguments.input.display())?;
+    outln!("{} messages of {}", report.messages, options.input.display())?;
     Ok(())
 }
 

@@ -6,12 +6,11 @@ use clap::ArgGroup;
 use node_kit::outln;
 use std::{
     path::PathBuf,
-    sync::atomic::Ordering,
     time::{Duration, SystemTime},
 };
 use volant::{
-    command_line::{UsageError, number},
-    live::record::{RecordOptions, bag_name, record},
+    command_line::{UsageError, seconds},
+    live::record::{RecordOptions, RecordReport, bag_name, record},
     replay::TopicNames,
 };
 
@@ -42,8 +41,8 @@ pub struct Arguments {
     #[arg(long, value_name = "MIB", value_parser = clap::value_parser!(u64).range(1..=1 << 20))]
     split_size: Option<u64>,
     /// Start a new file after this time, s (folders only)
-    #[arg(long, value_name = "SECONDS", value_parser = number(0.1..=1e9))]
-    split_duration: Option<f64>,
+    #[arg(long, value_name = "SECONDS", value_parser = seconds(0.1..=1e9))]
+    split_duration: Option<Duration>,
     /// Keep this many files of a split recording, and remove the oldest when a new one starts; each
     /// new one repeats the latched messages, such as /tf_static
     #[arg(
@@ -54,13 +53,12 @@ pub struct Arguments {
     )]
     keep: Option<u32>,
     /// Stop after this time, s
-    #[arg(long, value_name = "SECONDS", value_parser = number(0.0..=1e9))]
-    duration: Option<f64>,
+    #[arg(long, value_name = "SECONDS", value_parser = seconds(0.0..=1e9))]
+    duration: Option<Duration>,
 }
 
 #[allow(clippy::disallowed_methods, reason = "a shell: it names a file by the time")]
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let seconds = |s: f64| Duration::try_from_secs_f64(s).unwrap_or(Duration::MAX);
     let output = match (&arguments.out, &arguments.into) {
         (None, Some(folder)) => folder.join(bag_name(SystemTime::now())),
         (out, _) => out.clone().unwrap_or_default(),
@@ -83,60 +81,58 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             split_bytes: arguments.split_size.map(|mib| mib << 20),
             replace: arguments.overwrite,
             in_place: true,
-            split_nanos: arguments.split_duration.map(|s| (s.max(0.0) * 1e9) as u64),
+            split_nanos: arguments.split_duration.map(|d| d.as_nanos() as u64),
             keep: arguments.keep.map(|files| files as usize),
             ..WriteOptions::default()
         },
-        duration: arguments.duration.map(seconds),
+        duration: arguments.duration,
     };
     let stop = node_kit::console::stop_flag()?;
     let bar = terminal::spinner();
     let mut reported = 0;
     let result = record(&options, &stop, |status| {
-        let failures = status.failures.lock();
-        for failure in failures.iter().skip(reported) {
+        for failure in status.failures.iter().skip(reported) {
             bar.suspend(|| terminal::warn(format!("{failure}; it is tried again")));
         }
-        reported = failures.len();
+        reported = status.failures.len();
         bar.set_message(format!(
             "recording {} topics, {} messages, {}{}",
-            status.topics.load(Ordering::Relaxed),
-            status.messages.load(Ordering::Relaxed),
-            terminal::mebibytes(status.bytes.load(Ordering::Relaxed)),
-            match status.dropped.load(Ordering::Relaxed) {
+            status.topics,
+            status.messages,
+            terminal::mebibytes(status.bytes),
+            match status.dropped {
                 0 => String::new(),
                 n => format!(", {n} DROPPED"),
             }
         ));
     });
     bar.finish_and_clear();
-    let report = result?;
-    for topic in &report.unpublished {
+    let RecordReport { bag, status, losses } = result?;
+    for topic in &status.unpublished {
         terminal::warn(format!(
             "{topic} had no publisher; see `ros2 topic list`, and check ROS_DOMAIN_ID"
         ));
     }
-    for loss in &report.losses {
+    for loss in &losses {
         terminal::warn(format!(
             "{loss}; the domain was joined again, and messages published meanwhile are \
              missing"
         ));
     }
-    if report.dropped > 0 {
+    if status.dropped > 0 {
         terminal::warn(format!(
             "{} messages were dropped because the disk did not keep up; try --compression none or \
              fewer topics",
-            report.dropped
+            status.dropped
         ));
     }
-    if report.lost > 0 {
+    if status.lost > 0 {
         terminal::warn(format!(
             "{} messages were lost in transport; set `sysctl net.core.rmem_max` to 4 MB or \
              more",
-            report.lost
+            status.lost
         ));
     }
-    let bag = report.bag;
     if bag.messages() == 0 {
         terminal::warn("no message was recorded; see `ros2 topic list`, and check ROS_DOMAIN_ID");
     }

@@ -1,7 +1,7 @@
 //! `volant replay`.
 
 use crate::{
-    settings::{self, BagTopics, Settings},
+    settings::{self, BagTopics},
     terminal,
 };
 use anyhow::Context;
@@ -64,28 +64,23 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let inputs: Vec<&Path> =
         [&arguments.input, &arguments.rig].into_iter().chain(more).map(PathBuf::as_path).collect();
     files::check_output(&arguments.out, arguments.overwrite, &inputs)?;
-    let Settings { rig, tracker, mut fusion, climber } =
-        settings::read(&arguments.rig, more, &arguments.topics.namespace)?;
-    match arguments.model {
-        Some(ModelName::Tight) => fusion.model = Model::Tight,
-        Some(ModelName::Paper) => fusion.model = Model::Paper,
-        None => {}
-    }
+    let mut cores = settings::read(&arguments.rig, more, &arguments.topics)?;
+    let model = match arguments.model {
+        Some(ModelName::Tight) => Model::Tight,
+        Some(ModelName::Paper) => Model::Paper,
+        None => cores.fusion.model,
+    };
+    cores.fusion.model = model;
     anyhow::ensure!(
-        !arguments.smooth || fusion.model == Model::Tight,
+        !arguments.smooth || model == Model::Tight,
         "--smooth requires the error-state filter; add --model tight"
     );
-    let model = fusion.model;
     let workers = arguments.threads.map_or_else(decoding_threads, usize::from).clamp(1, 64);
     let options = ReplayOptions {
         input: arguments.input.clone(),
-        tracker,
-        climber,
-        rig,
         output: arguments.out.clone(),
         overwrite: arguments.overwrite,
-        fusion,
-        names: arguments.topics.names(),
+        cores,
         compression: arguments.compression,
         workers,
         smooth: arguments.smooth,

@@ -2,30 +2,18 @@
 
 use crate::up;
 use anyhow::Context;
-use climber_driver::{
-    ClimberConfig,
-    node::{ClimberNode, ClimberParameters},
-};
+use climber_driver::node::{ClimberNode, ClimberParameters};
 use imu_driver::node::ImuNode;
-use marker_tracker::{TrackerConfig, node::MarkerTrackerNode};
+use marker_tracker::node::MarkerTrackerNode;
 use node_kit::{
     NodeName, ParameterSet, RosArguments,
     node::NodeShell,
     parameters::{ParameterError, ParameterMap, ParameterStore},
 };
-use pose_fusion::{FusionConfig, node::FusionNode};
+use pose_fusion::node::FusionNode;
 use rig_model::{Rig, rig::did_you_mean, topics};
 use std::path::{Path, PathBuf};
-use volant::replay::{Remap, TopicNames};
-
-/// Configuration from the rig file and parameter files.
-pub struct Settings {
-    pub rig: Rig,
-    pub tracker: TrackerConfig,
-    pub fusion: FusionConfig,
-    /// The climber driver's, or why it would not start: a replay may do without it.
-    pub climber: Result<ClimberConfig, String>,
-}
+use volant::replay::{Cores, Remap, TopicNames};
 
 /// Where the rig's topics are in a bag.
 #[derive(clap::Args, Default)]
@@ -70,8 +58,8 @@ struct Files<'a> {
 /// # Errors
 /// What a live node rejects, in its words: an unreadable file, a block for a mistyped node's
 /// name, an unknown or invalid parameter. Of `imu_driver` too, whose output is in the bag.
-pub fn read(path: &Path, more: &[PathBuf], namespace: &str) -> anyhow::Result<Settings> {
-    let files = Files::read(path, more, namespace)?;
+pub fn read(path: &Path, more: &[PathBuf], topics: &BagTopics) -> anyhow::Result<Cores> {
+    let files = Files::read(path, more, &topics.namespace)?;
     let (tracker, _) = files.of::<MarkerTrackerNode>()?;
     let (fusion, values) = files.of::<FusionNode>()?;
     let climber = ClimberParameters::from_map(files.store::<ClimberNode>()?.values());
@@ -81,9 +69,11 @@ pub fn read(path: &Path, more: &[PathBuf], namespace: &str) -> anyhow::Result<Se
         Err(error) if !matches!(error, ParameterError::Missing { .. }) => {
             return Err(error).with_context(|| files.context::<ClimberNode>());
         }
+        // A replay may do without it.
         climber => climber.map(|c| c.config()).map_err(|e| files.in_the_rig_file(e).to_string()),
     };
-    Ok(Settings { tracker: tracker.config(&rig), rig, fusion: fusion.core, climber })
+    let (tracker, names) = (tracker.config(&rig), topics.names());
+    Ok(Cores { rig, tracker, climber, fusion: fusion.core, names })
 }
 
 /// Rejects what a live node rejects in a rig file, except for missing keys.

@@ -3,7 +3,7 @@
 use anyhow::anyhow;
 use indicatif::{ProgressBar, ProgressStyle};
 use node_kit::errln;
-use std::{fmt::Display, path::Path};
+use std::fmt::Display;
 use volant::command_line::one_line;
 
 /// Prints a message as one line.
@@ -52,12 +52,6 @@ pub fn mebibytes(bytes: u64) -> String {
     } else {
         format!("{:.1} MiB", bytes as f64 / (1u64 << 20) as f64)
     }
-}
-
-/// Last component of a path.
-pub fn name(path: &Path) -> String {
-    path.file_name()
-        .map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned())
 }
 
 /// Status line; drawn on a terminal only.

@@ -55,19 +55,21 @@ pub fn parameters() -> Vec<String> {
 }
 
 pub fn run(words: Vec<String>) -> ExitCode {
+    match up(words) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(status) => status,
+    }
+}
+
+/// Runs the nodes; an error is reported, and its exit status returned.
+fn up(words: Vec<String>) -> Result<(), ExitCode> {
     let known = known();
     let wrong = |text: String| {
         terminal::line(&format!("volant up: {text} (`volant up --help` lists the options)"));
         ExitCode::from(2)
     };
-    let (ros, rest) = match RosArguments::parse(words) {
-        Ok(parsed) => parsed,
-        Err(error) => return wrong(error.to_string()),
-    };
-    let (scheduling, rest) = match Scheduling::take(rest) {
-        Ok(taken) => taken,
-        Err(error) => return wrong(error.to_string()),
-    };
+    let (ros, rest) = RosArguments::parse(words).map_err(|error| wrong(error.to_string()))?;
+    let (scheduling, rest) = Scheduling::take(rest).map_err(|error| wrong(error.to_string()))?;
     let mut files = RosArguments::default();
     let mut chosen: Vec<Node> = vec![];
     let mut foxglove: Option<String> = None;
@@ -79,24 +81,19 @@ pub fn run(words: Vec<String>) -> ExitCode {
         };
         match option {
             "--help" | "-h" if value.is_none() => {
-                return match out!("{HELP}\nprocess:\n{}", scheduling::HELP) {
-                    Ok(()) => ExitCode::SUCCESS,
-                    Err(error) => error.report("volant up"),
-                };
+                return out!("{HELP}\nprocess:\n{}", scheduling::HELP)
+                    .map_err(|error| error.report("volant up"));
             }
             "--rig" | "--params-file" => {
-                let Some(path) = value.or_else(|| rest.next()) else {
-                    return wrong(format!("{word} needs a file"));
-                };
-                if let Err(error) = files.add_file(path.into()) {
-                    return failed(&error.into());
-                }
+                let path = value.or_else(|| rest.next());
+                let path = path.ok_or_else(|| wrong(format!("{word} needs a file")))?;
+                files.add_file(path.into()).map_err(|error| failed(&error.into()))?;
             }
             "--foxglove" => foxglove = Some(value.unwrap_or_default()),
             _ => match known.iter().find(|n| n.name == word) {
                 Some(node) if !chosen.iter().any(|n| n.name == node.name) => chosen.push(*node),
-                Some(_) => return wrong(format!("`{word}` is given twice")),
-                None => return wrong(format!("there is no node `{word}`")),
+                Some(_) => return Err(wrong(format!("`{word}` is given twice"))),
+                None => return Err(wrong(format!("there is no node `{word}`"))),
             },
         }
     }
@@ -106,24 +103,16 @@ pub fn run(words: Vec<String>) -> ExitCode {
     let mut ros = ros.over(files);
     ros.allow_of_others(chosen.iter().flat_map(|n| (n.parameters)()));
     // It handles signals before anything joins the domain.
-    let process = match scheduling.apply().and_then(|()| Process::from_arguments(&ros)) {
-        Ok(process) => process,
-        Err(error) => return failed(&error),
-    };
+    let process = scheduling.apply().and_then(|()| Process::from_arguments(&ros));
+    let process = process.map_err(|error| failed(&error))?;
     // Kept until the nodes have ended.
-    let _foxglove = match foxglove.map(|address| crate::foxglove::start(Some(&address))).transpose()
-    {
-        Ok(server) => server,
-        Err(error) => {
-            return failure("volant up", &error);
-        }
-    };
+    let _foxglove = foxglove
+        .map(|address| crate::foxglove::start(Some(&address)))
+        .transpose()
+        .map_err(|error| failure("volant up", &error))?;
     let start =
         |process: &mut Process| chosen.iter().try_for_each(|node| (node.start)(process, &ros));
-    match process.run(start) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => failed(&error),
-    }
+    process.run(start).map_err(|error| failed(&error))
 }
 
 fn failed(error: &NodeError) -> ExitCode {

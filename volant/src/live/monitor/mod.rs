@@ -16,7 +16,7 @@ use super::{
 use anyhow::Result;
 use node_kit::environment::{DiscoveryRange, Network};
 use parking_lot::Mutex;
-use rig_model::topics;
+use rig_model::topics::absolute::{CLOCK, DIAGNOSTICS, PARAMETER_EVENTS, ROSOUT, TF, TF_STATIC};
 use state::Monitor;
 use std::{collections::BTreeMap, sync::Arc};
 use volant_msgs::diagnostic_msgs::msg::DiagnosticStatus;
@@ -127,22 +127,11 @@ impl Watch {
     }
 
     fn concerns(&self, topic: &str) -> bool {
-        let plumbing =
-            [topics::absolute::PARAMETER_EVENTS, topics::absolute::ROSOUT, "/transition_event"]
-                .iter()
-                .any(|t| topic.ends_with(t));
-        !plumbing
-            && (self.namespace.is_empty()
-                || [
-                    topics::absolute::DIAGNOSTICS,
-                    topics::absolute::TF,
-                    topics::absolute::TF_STATIC,
-                    topics::absolute::CLOCK,
-                ]
-                .contains(&topic)
-                || topic
-                    .strip_prefix('/')
-                    .and_then(|t| t.strip_prefix(&self.namespace))
-                    .is_some_and(|t| t.starts_with('/')))
+        let is_plumbing =
+            [PARAMETER_EVENTS, ROSOUT, "/transition_event"].iter().any(|t| topic.ends_with(t));
+        let is_ours = self.namespace.is_empty()
+            || [DIAGNOSTICS, TF, TF_STATIC, CLOCK].contains(&topic)
+            || topic.starts_with(&format!("/{}/", self.namespace));
+        is_ours && !is_plumbing
     }
 }

@@ -1,12 +1,13 @@
 //! The acceptance run: a replay with the finished rig file, and `volant check`.
 
 use super::{Walk, motion::MOTION};
+use crate::settings::{self, BagTopics};
 use anyhow::Result;
 use bag::{BagReader, Compression};
 use node_kit::outln;
 use rig_model::topics;
 use std::process::Command;
-use volant::replay::{ReplayOptions, TopicNames, decoding_threads, replay};
+use volant::replay::{ReplayOptions, decoding_threads, replay};
 use volant_msgs::{
     cdr,
     msg::{MarkerUpdate, MarkerUpdates, PoseStatus},
@@ -19,17 +20,12 @@ const SETTLING: f64 = 2.0;
 pub fn acceptance(walk: &mut Walk) -> Result<()> {
     outln!("  Record half a minute of ordinary work, other than the recordings before.")?;
     let bag = walk.recording("acceptance", &MOTION, 30.0)?;
-    let settings = crate::settings::read(&walk.rig, &[], "")?;
     let output = walk.file("acceptance_replay.mcap");
     let options = ReplayOptions {
         input: bag.clone(),
-        rig: settings.rig,
         output: output.clone(),
         overwrite: true,
-        tracker: settings.tracker,
-        climber: settings.climber,
-        fusion: settings.fusion,
-        names: TopicNames::new("", &[]),
+        cores: settings::read(&walk.rig, &[], &BagTopics::default())?,
         compression: Compression::default(),
         workers: decoding_threads(),
         smooth: false,

@@ -22,7 +22,7 @@ use std::{
     time::Duration,
 };
 use volant::{
-    live::record::{self as live, RecordOptions},
+    live::record::{self as live, RecordOptions, RecordReport},
     stopwatch::Stopwatch,
 };
 
@@ -166,8 +166,8 @@ fn record(path: &Path, topics: &[&str], seconds: f64) -> Result<()> {
         duration: Some(Duration::try_from_secs_f64(seconds)?),
     };
     let (stop, watch, mut reported) = (AtomicBool::new(false), Stopwatch::start(), false);
-    let report = live::record(&options, &stop, |status| {
-        let unpublished = status.unpublished.lock();
+    let RecordReport { status, .. } = live::record(&options, &stop, |status| {
+        let unpublished = &status.unpublished;
         if reported || unpublished.is_empty() || watch.elapsed() < DISCOVERY {
             return;
         }
@@ -179,18 +179,18 @@ fn record(path: &Path, topics: &[&str], seconds: f64) -> Result<()> {
             let _ = outln!("  no publisher so far: {}", unpublished.join(", "));
         }
     })?;
-    if report.unpublished.len() == topics.len() {
+    if status.unpublished.len() == topics.len() {
         fs::remove_file(new)?;
         bail!(
             "nobody publishes {}; start the drivers and the nodes, and check ROS_DOMAIN_ID",
-            report.unpublished.join(" or ")
+            status.unpublished.join(" or ")
         );
     }
     fs::rename(new, path)?;
-    for topic in report.unpublished {
+    for topic in status.unpublished {
         outln!("  {topic}: no publisher")?;
     }
-    for failure in report.failures {
+    for failure in status.failures {
         outln!("  {failure}")?;
     }
     Ok(())

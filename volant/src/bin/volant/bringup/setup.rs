@@ -79,18 +79,21 @@ pub fn markers(walk: &mut Walk) -> Result<()> {
     walk.wrote(&sheets.out);
     outln!("  Print at 100 %, measure the bar, mount the squares, and measure their centers.")?;
     let mut settings = vec![];
+    let mut centers = rig.markers.centers.0.map(|center| center.coords * 1e3);
     for color in MarkerColor::ALL {
-        let known = rig.markers.centers[color].coords * 1e3;
-        let center = dialog::numbers(&format!("  {color} x y z"), known.into(), millimeters)?;
-        settings.push(Setting::rig(format!("markers.{color}"), list(&center.map(|c| c / 1e3))));
+        let center = &mut centers[color.index()];
+        let question = format!("  {color} x y z");
+        let answer: [f64; 3] = dialog::numbers(&question, (*center).into(), millimeters)?;
+        *center = answer.into();
+        settings.push(Setting::rig(format!("markers.{color}"), list(&answer.map(|c| c / 1e3))));
     }
     outln!("  The camera in the climber's frame: x y z of the lens, mm; rotation as quaternion.")?;
     settings.extend(mounting("camera", &rig.climber_from_camera)?);
     outln!("  The IMU in the platform's frame.")?;
     settings.extend(mounting("imu", &rig.imu.volant_from_imu)?);
     set(walk, &settings)?;
-    let [a, b] = [MarkerColor::Red, MarkerColor::Blue].map(|c| read_center(&settings, c));
-    walk.note("diagonal", format!("red - blue {:.1} mm: compare with a tape", 1e3 * (a - b).norm()))
+    let [a, b] = [MarkerColor::Red, MarkerColor::Blue].map(|c| centers[c.index()]);
+    walk.note("diagonal", format!("red - blue {:.1} mm: compare with a tape", (a - b).norm()))
 }
 
 /// Rejects a position that is in meters, or beyond the rig file's limit of 100 m.
@@ -101,12 +104,6 @@ fn millimeters(position: &[f64; 3]) -> Result<(), String> {
     }
     let [x, y, z] = position;
     Err(format!("the position is {x} {y} {z} mm: give it in millimeters"))
-}
-
-fn read_center(settings: &[Setting], color: MarkerColor) -> nalgebra::Vector3<f64> {
-    let name = format!("markers.{color}");
-    let values = settings.iter().find(|s| s.name == name).and_then(|s| s.value.as_f64_array());
-    values.map_or_else(nalgebra::Vector3::zeros, |v| nalgebra::Vector3::from_row_slice(&v))
 }
 
 /// Asks for a mounting: position (mm) and quaternion.

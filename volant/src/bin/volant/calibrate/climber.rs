@@ -13,10 +13,10 @@ use rig_model::{Rig, topics};
 use ros_parameters::{ParameterFile, ParameterMap, ParameterValue};
 use std::path::{Path, PathBuf};
 use volant::{
-    calibration::{Cores, read_markers},
+    calibration::read_markers,
     command_line::UsageError,
     parameter_update::{Setting, list, number},
-    replay::TopicNames,
+    replay::{Cores, TopicNames},
 };
 use volant_msgs::{Message, sensor_msgs::msg::JointState};
 
@@ -139,7 +139,7 @@ fn find(
         positions: state.position,
     })?;
     let cores = Cores { names: names.clone(), ..Cores::of(rig) };
-    let (camera, markers) = read_markers(path, rig, &cores, losses)?;
+    let (camera, markers) = read_markers(path, &cores, losses)?;
     // Joints to prefer where two measure the same axis: those in use.
     let preferred = AXES.map(|axis| match present.get(&format!("joints.{axis}")) {
         Some(ParameterValue::String(name)) => name.as_str(),

@@ -127,22 +127,14 @@ fn figure(noise: &ImuNoise) -> Result<String> {
         let mut series: Vec<Series> = axes
             .iter()
             .zip(curves)
-            .map(|((name, color), axis)| Series {
-                name: (*name).into(),
-                color: *color,
-                shape: Shape::Line(2),
-                points: axis.curve.clone(),
-                spread: vec![],
+            .map(|((name, color), axis)| {
+                Series::new(name, *color, Shape::Line(2), axis.curve.clone())
             })
             .collect();
         let white = |tau: f64| (tau, noise.density(sensor) / tau.sqrt());
-        series.push(Series {
-            name: "white noise as written to the rig file".into(),
-            color: colors::SOFT,
-            shape: Shape::Line(1),
-            points: span.map(white).to_vec(),
-            spread: vec![],
-        });
+        let line = span.map(white).to_vec();
+        let name = "white noise as written to the rig file";
+        series.push(Series::new(name, colors::SOFT, Shape::Line(1), line));
         Panel {
             title: sensor.to_string(),
             x: Axis { name: "averaging time [s]".into(), range: span, log: true },

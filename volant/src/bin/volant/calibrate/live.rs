@@ -44,7 +44,7 @@ pub fn record(topics: Vec<String>, seconds: f64) -> anyhow::Result<Recorded> {
     };
     let stop = node_kit::console::stop_flag()?;
     let report = record::record(&options, &stop, |_| {})?;
-    report.failures.iter().for_each(terminal::warn);
-    recorded.unpublished = report.unpublished;
+    report.status.failures.iter().for_each(terminal::warn);
+    recorded.unpublished = report.status.unpublished;
     Ok(recorded)
 }

@@ -66,7 +66,7 @@ impl Output {
     /// Changes parameters of a file and reports what was written.
     pub fn update(&self, file: &Path, settings: &[Setting]) -> anyhow::Result<()> {
         let update = update(file, self.out.as_deref(), self.overwrite, settings)?;
-        let path = update.path.display();
+        let path = self.out.as_deref().unwrap_or(file).display();
         terminal::line(&match (update.backup, update.changed.as_slice()) {
             (_, []) => format!("{path}: has these values already"),
             (None, changed) => format!("{path}: written, with {} changed", changed.join(", ")),

@@ -2,7 +2,7 @@
 
 use super::Output;
 use crate::{
-    settings::{self, BagTopics, Settings},
+    settings::{self, BagTopics},
     terminal,
 };
 use anyhow::{Result, ensure};
@@ -10,7 +10,7 @@ use node_kit::outln;
 use rig_calibration::{Estimate, MISFIT, Refinement};
 use std::path::PathBuf;
 use volant::{
-    calibration::{Cores, refine_from_bag},
+    calibration::refine_from_bag,
     parameter_update::{Setting, list},
 };
 
@@ -35,13 +35,11 @@ pub struct Arguments {
 /// Runs the command; returns what it found.
 pub fn run(arguments: &Arguments) -> Result<Estimate> {
     arguments.output.check(None, &[&arguments.rig, &arguments.bag])?;
-    let namespace = &arguments.topics.namespace;
-    let Settings { rig, tracker, climber, .. } = settings::read(&arguments.rig, &[], namespace)?;
-    let cores = Cores { tracker, climber, names: arguments.topics.names() };
+    let cores = settings::read(&arguments.rig, &[], &arguments.topics)?;
     let camera: &[&str] = &["camera rotation", "camera position"];
     let held = if arguments.hold_camera { camera } else { &[] };
     let mut losses = vec![];
-    let estimate = refine_from_bag(&arguments.bag, &rig, &cores, held, &mut losses);
+    let estimate = refine_from_bag(&arguments.bag, &cores, held, &mut losses);
     let estimate = terminal::with_losses(estimate, &losses)?;
     print(&estimate)?;
     ensure!(
