@@ -130,6 +130,9 @@ parameters! {
         /// Initial rotation of gyroscope and accelerometer against the mounting, each axis (1
         /// sigma).
         misalignment: f64 = 0.0015, unit("rad"), range(0.0..=0.1), name("imu_scale.misalignment");
+        // 0.2°: it is aligned by hand; its tilt shows at rest.
+        /// Initial rotation of the whole IMU about the vertical against the mounting (1 sigma).
+        mounting_yaw: f64 = 0.003, unit("rad"), range(0.0..=0.1), name("imu_scale.mounting_yaw");
     }
 }
 

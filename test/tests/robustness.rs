@@ -35,10 +35,7 @@ fn exceeds(name: &str, perturbation: &Perturbation) -> bool {
         CameraMounting(_) | FocalLength(_) | Layout(_) => true,
         EncoderScale(_) => matches!(name, "nominal" | "occlude_two" | "clutter"),
         AccelerometerScale(_) => name == "fast_swing",
-        EncoderDelay(delay) => match name {
-            "clutter" => *delay >= 0.4,
-            _ => matches!(name, "real_fast" | "real_tapping"),
-        },
+        EncoderDelay(_) => matches!(name, "real_fast" | "real_tapping"),
         ImuStuck(_) => matches!(name, "nominal" | "real_tapping"),
         EncoderFrozen(_) | AxisFrozen(_) | ImuZeros(_) | ImuSpike(_) | GyroSaturated(_)
         | ImuLost(_) | EncodersLost(_) | ImagesLost(_) | ImuBursts(_) | Exchanged(_) => {

@@ -7,7 +7,7 @@ use super::{
     propagation::ImuReading,
 };
 use crate::config::ImuConfig;
-use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+use nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion, Vector3};
 use rig_model::MarkerLayout;
 
 /// Number of constants: six scale factors, six rotations, rad, eight marker offsets, m.
@@ -78,19 +78,27 @@ pub struct Calibration {
 }
 
 impl Calibration {
-    /// Returns constants of zero with the configured standard deviations. The markers are where the
-    /// rig file has them until images contradict that ([`Calibration::open_layout`]).
-    pub fn new(imu: &ImuConfig) -> Self {
-        let expected = Expected::from_fn(|i, _| match i {
+    /// Returns constants of zero with the configured standard deviations, of an IMU whose rotation
+    /// against the platform is `volant_from_imu`. The markers are where the rig file has them until
+    /// images contradict that ([`Calibration::open_layout`]).
+    pub fn new(imu: &ImuConfig, volant_from_imu: &UnitQuaternion<f64>) -> Self {
+        let sigmas = Single::from_fn(|i, _| match i {
             0..3 => imu.gyroscope_scale as f32,
             3..ROTATION => imu.accelerometer_scale as f32,
             ROTATION..MARKERS => imu.misalignment as f32,
             _ => 0.0,
         });
-        let covariance = Symmetric::of(&SMatrix::from_diagonal(&Single::from_fn(|i, _| {
-            expected[of(i)].powi(2)
-        })));
-        Self { constants: Single::zeros(), covariance, expected }
+        // Gyroscope and accelerometer are turned together about the platform's vertical.
+        let vertical = volant_from_imu.inverse() * Vector3::z();
+        let mut turn = Single::zeros();
+        for first in [ROTATION, ROTATION + 3] {
+            let yaw = (vertical * imu.mounting_yaw).cast();
+            turn.fixed_rows_mut::<3>(first).copy_from(&yaw);
+        }
+        let covariance =
+            SMatrix::from_diagonal(&sigmas.component_mul(&sigmas)) + turn * turn.transpose();
+        let expected = Expected::from_fn(|i, _| covariance[(i, i)].sqrt());
+        Self { constants: Single::zeros(), covariance: Symmetric::of(&covariance), expected }
     }
 
     /// Returns constants that are known with a covariance.
@@ -237,7 +245,7 @@ mod tests {
 
     #[test]
     fn motion_and_reading_are_inverse_and_the_derivative_is_the_numerical_one() {
-        let mut calibration = Calibration::new(&config());
+        let mut calibration = Calibration::new(&config(), &UnitQuaternion::identity());
         calibration.constants = Single::from_fn(|i, _| 0.001 * ((i * 7) % 5) as f32 - 0.002);
         let reading = ImuReading {
             specific_force: Vector3::new(0.5, -1.0, 9.6),
@@ -264,9 +272,24 @@ mod tests {
     }
 
     #[test]
+    fn an_imu_that_is_turned_as_a_whole_turns_both_triads_about_the_vertical() {
+        let imu = ImuConfig { misalignment: 0.001, mounting_yaw: 0.005, ..config() };
+        let volant_from_imu =
+            UnitQuaternion::from_euler_angles(std::f64::consts::FRAC_PI_2, 0.0, 0.3);
+        let calibration = Calibration::new(&imu, &volant_from_imu);
+        let covariance = calibration.covariance();
+        // The IMU's y axis is the vertical.
+        let expected = [(0, 0, 1e-6), (1, 1, 26e-6), (1, 4, 25e-6), (4, 4, 26e-6), (1, 2, 0.0)];
+        for (i, j, variance) in expected {
+            let found = covariance[(ROTATION + i, ROTATION + j)];
+            assert!((found - variance).abs() < 1e-9, "{i} {j}: {found}");
+        }
+    }
+
+    #[test]
     fn a_constant_is_found_within_its_sigma_and_a_surprising_one_opens_its_variance() {
         for (truth, images) in [(0.004, 200), (-0.05, 1000)] {
-            let mut calibration = Calibration::new(&config());
+            let mut calibration = Calibration::new(&config(), &UnitQuaternion::identity());
             for k in 0..images {
                 let mut b = SMatrix::<f64, 2, PARAMETERS>::zeros();
                 b[(0, ESTIMATED)] = 20.0 * (0.1 * f64::from(k)).sin();
@@ -286,7 +309,7 @@ mod tests {
 
     #[test]
     fn a_constant_is_limited_and_a_number_that_is_not_finite_is_ignored() {
-        let mut calibration = Calibration::new(&config());
+        let mut calibration = Calibration::new(&config(), &UnitQuaternion::identity());
         let mut b = SMatrix::<f64, 1, PARAMETERS>::zeros();
         b[(0, ESTIMATED + 6)] = 1e6;
         for _ in 0..20 {

@@ -89,7 +89,7 @@ impl Filter {
             let sigmas = entry.state.sigmas(CLIMBER_RATE);
             (0..3).any(|i| stands[i] && entry.state.climber_rate[i].abs() > MOVES * sigmas[i])
         });
-        let standing = moves || stands == [true; 3] || self.climber.stopped_at_once().is_some();
+        let standing = moves || stands == [true; 3] || self.climber.may_be_frozen();
         let read = self.read_at(place).unwrap_or(at);
         let (moves_on, leap) = (self.climber.moves_on(read), self.climber.leap_at(read));
         let axis_stands = stands.contains(&true);
@@ -102,16 +102,17 @@ impl Filter {
                 false
             }
             Verdict::Resume => {
-                self.climber.clear_stop();
+                self.climber.clear_frozen();
                 self.set_excluded(place, false);
                 self.history.rewind(place);
                 self.publisher.warn(Warning::EncodersResumed { stamp: at });
                 false
             }
             Verdict::Adopt => {
-                self.climber.clear_stop();
+                self.climber.clear_frozen();
                 self.publisher.counts.resets.encoder_steps += 1;
                 self.publisher.warn(Warning::EncoderStep { stamp: at });
+                self.lock_out.replaced(at.plus_seconds(-self.time_offset()));
                 self.restart();
                 self.publisher.continuity.reset();
                 true
@@ -132,19 +133,6 @@ impl Filter {
             *excluded = false;
         }
         self.history.rewind(place);
-    }
-
-    /// Suspends encoders of which one stopped harder than a drive brakes, with their newest reading
-    /// at `at`. Where the climber has indeed run into something, images and IMU see it stand, and
-    /// the encoders are trusted again; where they see it move, the encoders are refuted.
-    pub(super) fn suspend_frozen_encoders(&mut self, at: Stamp) {
-        let (false, Some(since)) = (self.trust.is_suspended(), self.climber.stopped_at_once())
-        else {
-            return;
-        };
-        self.exclude_since(since.plus_seconds(self.encoder_offset()));
-        self.publisher.warn(Warning::EncodersFrozen { since });
-        self.trust.suspend(at, Cause::Stop, false);
     }
 
     /// Continues without encoders of which one stands, where the images contradict the prediction:

@@ -356,7 +356,6 @@ impl Filter {
         let event = Event::Encoders { reading, excluded: self.trust.is_suspended(), fresh: true };
         self.history.insert(at, event, ImuReading::default());
         if self.start.started {
-            self.suspend_frozen_encoders(at);
             self.process();
         } else {
             self.trim(at.max(end));

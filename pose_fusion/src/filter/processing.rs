@@ -72,7 +72,7 @@ impl Filter {
             {
                 self.publisher.warn(Warning::Diverged { stamp: at, what });
                 self.publisher.counts.resets.divergences += 1;
-                self.lock_out.responded(at.plus_seconds(-self.setup.camera_offset));
+                self.lock_out.replaced(at.plus_seconds(-self.setup.camera_offset));
                 return self.reset_estimate();
             }
             let done = match (step, &mut entry.event) {
@@ -237,7 +237,7 @@ impl Filter {
         let limit = if agrees || !settled { limit } else { DISAGREEING * limit };
         let response = self.lock_out.note(stamp, seen, record.used, limit, excused);
         if response != Response::None && self.trust.restore_after_contradiction(at) {
-            self.climber.clear_stop();
+            self.climber.clear_frozen();
             self.publisher.warn(Warning::EncodersResumed { stamp: at });
             self.lock_out.responded(stamp);
             return self.reinitialize(stamp, image, stamp, true);

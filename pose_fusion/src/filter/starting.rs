@@ -138,7 +138,8 @@ impl Filter {
     /// Constants as a former pose knew them.
     pub(super) fn calibration(&self) -> Calibration {
         let kept = self.start.kept.as_deref().map(|kept| kept.calibration);
-        kept.unwrap_or_else(|| Calibration::new(&self.setup.config.imu))
+        let rotation = &self.setup.rig.imu.volant_from_imu.rotation;
+        kept.unwrap_or_else(|| Calibration::new(&self.setup.config.imu, rotation))
     }
 
     /// Offset and biases from before an outage.

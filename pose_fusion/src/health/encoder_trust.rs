@@ -5,12 +5,12 @@
 //! move. Three consistent readings in a row restore trust. Readings that contradict the estimate for
 //! `climber.step_timeout` are adopted (the drive was homed, or a wheel slipped): the filter
 //! reinitializes with them, and the world frame moves with the encoders. Until then the pose keeps
-//! its frame. Who of the two is wrong is not known: after `DISAGREES`, and at once where one
-//! stopped, the published covariance contains the distance between them; where they seem to be
-//! frozen, until that has been `CONFIRMED`. Encoders that are known to be frozen are not adopted
-//! before they move again. Readings that return from a fault and go on moving are right: they are
-//! adopted after `RETURNED`. They return where frozen ones move again, or where they leap to where a
-//! climber can have moved to since they were equal or leapt before.
+//! its frame. Who of the two is wrong is not known: after `DISAGREES` the published covariance contains
+//! the distance between them; where they seem to be frozen, until that has been `CONFIRMED`. Encoders
+//! that are known to be frozen are not adopted before they move again. Readings that return from a
+//! fault and go on moving are right: they are adopted after `RETURNED`. They return where frozen ones
+//! move again, or where they leap to where a climber can have moved to since they were equal or leapt
+//! before.
 
 use nalgebra::Vector3;
 use rig_model::Stamp;
@@ -52,8 +52,8 @@ pub enum Cause {
     Contradiction,
     /// Their readings leapt further than a climber moves.
     Leap,
-    /// One stopped harder than a drive brakes: it is frozen, or the climber ran into something.
-    Stop,
+    /// They were frozen and move again: wrong until they are adopted or consistent.
+    Thawed,
     /// They are frozen while the climber drives: the estimate is right.
     Frozen,
 }
@@ -117,7 +117,7 @@ impl EncoderTrust {
         let lasts = self.newest?.seconds_since(since);
         let disagrees = match cause {
             Cause::Frozen => lasts < CONFIRMED,
-            Cause::Stop => true,
+            Cause::Thawed => true,
             Cause::Contradiction | Cause::Leap => lasts > DISAGREES,
         };
         disagrees.then_some(self.residual)
@@ -142,8 +142,7 @@ impl EncoderTrust {
                 *cause = Cause::Frozen;
             }
         } else if *cause == Cause::Frozen {
-            // Wrong until they are adopted or consistent.
-            *cause = Cause::Stop;
+            *cause = Cause::Thawed;
             self.returned = seen.moves_on.then_some(at);
         } else if let Some(returns) = seen.leap {
             self.returned = returns.then_some(at);
@@ -161,7 +160,9 @@ impl EncoderTrust {
             (false, true) => PASSED,
             (false, false) => 0.0,
         };
-        let returned = self.returned.is_some_and(|since| at.seconds_since(since) > RETURNED);
+        // An axis that stands may be frozen.
+        let returned = !seen.axis_stands
+            && self.returned.is_some_and(|since| at.seconds_since(since) > RETURNED);
         if self.consistent >= CONSISTENT && lasts > due {
             self.reset();
             Verdict::Resume

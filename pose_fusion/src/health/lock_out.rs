@@ -25,6 +25,9 @@ const REPEATED: f64 = 0.6;
 /// seven recordings; with a wrong unit, sign or direction of the IMU several times in this time
 /// (`test/tests/robustness.rs`).
 const CONTRADICTED: f64 = 3.0;
+/// A pose that replaces one which was wrong for certain (it diverged, or other encoders were adopted)
+/// must hold for this time before it may be used, s.
+const REPLACED: f64 = 1.0;
 
 /// What follows from an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,6 +55,8 @@ pub struct LockOut {
     followed: Option<(Stamp, u32)>,
     /// Images of the last three responses.
     responses: [Option<Stamp>; 3],
+    /// When a pose was last replaced that was wrong for certain.
+    replaced: Option<Stamp>,
 }
 
 impl LockOut {
@@ -61,6 +66,7 @@ impl LockOut {
             last_used: self.last_used.max(Some(image)),
             initialized_at: Some(image),
             responses: self.responses,
+            replaced: self.replaced,
             ..Self::default()
         };
     }
@@ -126,15 +132,26 @@ impl LockOut {
         self.responses[2] = Some(image);
     }
 
+    /// Notes that the pose, which was wrong, is replaced at the time of an image.
+    pub fn replaced(&mut self, image: Stamp) {
+        self.responded(image);
+        self.replaced = Some(image);
+    }
+
     /// Starts counting again.
     pub fn clear(&mut self) {
         self.contradictions = 0;
         self.since = None;
     }
 
-    /// Returns whether images and prediction contradict each other again and again.
+    /// Returns whether images and prediction contradict each other again and again, or did so just
+    /// before the pose was replaced.
     pub fn is_contradicted(&self, now: Stamp) -> bool {
-        matches!(self.responses, [Some(first), _, Some(last)]
+        // A clock that was set back leaves it in the future.
+        let lasts = |since: Stamp| (0.0..REPLACED).contains(&now.seconds_since(since));
+        let replaced = self.replaced.is_some_and(lasts);
+        replaced
+            || matches!(self.responses, [Some(first), _, Some(last)]
             if last.seconds_since(first) < CONTRADICTED && now.seconds_since(last) < CONTRADICTED)
     }
 }
@@ -213,5 +230,9 @@ mod tests {
             assert_eq!(lock_out.is_contradicted(at(second)), contradicted, "{second}");
         }
         assert!(lock_out.is_contradicted(at(9)) && !lock_out.is_contradicted(at(10)));
+        lock_out.replaced(at(20));
+        lock_out.initialized(at(20));
+        assert!(lock_out.is_contradicted(at(20)) && !lock_out.is_contradicted(at(21)));
+        assert!(!lock_out.is_contradicted(at(19)), "the clock was set back");
     }
 }

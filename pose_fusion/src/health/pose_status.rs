@@ -4,8 +4,8 @@ use crate::config::StatusConfig;
 use rig_model::Stamp;
 
 const MIRRORED: &str = "no IMU sample, and fewer than four markers: they fit two tilts";
-const CONTRADICTED: &str = "images contradict the IMU or the encoders repeatedly: check units, \
-                            signs, orientations and frames (`volant check` names the cause)";
+const CONTRADICTED: &str = "images contradict the IMU or the encoders: check units, signs, \
+                            orientations and frames (`volant check` names the cause)";
 
 /// What carries the pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -182,7 +182,8 @@ pub fn is_mirrored(geometry: &Geometry, state: &State, image: &Image) -> bool {
         && others.iter().find(nearer).is_some_and(|other| other.cost - best.cost > CLEAR)
 }
 
-/// Returns a state with the climber by its encoders and all else unknown as configured.
+/// Returns a state with the climber by its encoders and all else unknown as configured,
+/// but for the calibration.
 pub fn unknown(config: &TightConfig, climber: &ClimberAt) -> State {
     let mut state = State::zero();
     state.climber = climber.values;
@@ -194,7 +195,6 @@ pub fn unknown(config: &TightConfig, climber: &ClimberAt) -> State {
     state.set_sigmas(CLIMBER_RATE, &climber.rate_sigmas);
     state.set_sigmas(CLIMBER_ACCELERATION, &ACCELERATION.into());
     state.set_sigma(TIME_OFFSET, config.clock.camera_sigma.min(LINEAR_OFFSET));
-    state.calibration = Calibration::new(&config.imu);
     for axis in 0..3 {
         let by = by_parameter(axis, climber.values[axis], climber.rates[axis]);
         state.sensitivity.set_column(CLIMBER + axis, &by.map(|x| -x as f32));

@@ -87,8 +87,8 @@ pub struct ClimberTrack {
     latency: f64,
     /// Per axis, the first of the readings that equal the newest one.
     standing_since: [Stamp; 3],
-    /// Per axis, when a moving climber stopped at once: before the first repeated reading.
-    stopped: [Option<Stamp>; 3],
+    /// Per axis, since when it may be frozen.
+    frozen: [Option<Stamp>; 3],
 }
 
 impl ClimberTrack {
@@ -103,7 +103,7 @@ impl ClimberTrack {
             jerk_factor: SETTING_OFF,
             latency: 0.0,
             standing_since: [Stamp::default(); 3],
-            stopped: [None; 3],
+            frozen: [None; 3],
         }
     }
 
@@ -120,10 +120,9 @@ impl ClimberTrack {
             return None;
         }
         let (variance, equal) = if place == self.readings.len() {
-            self.note_stop(stamp, &values);
             for axis in 0..3 {
                 if self.readings.back().is_none_or(|(_, last, _)| last[axis] != values[axis]) {
-                    self.standing_since[axis] = stamp;
+                    (self.standing_since[axis], self.frozen[axis]) = (stamp, None);
                 }
             }
             self.noise.add(stamp, &values)

@@ -90,9 +90,8 @@ pub enum Warning {
     )]
     EncodersSuspended { stamp: Stamp, distance_m: f64 },
     #[error(
-        "the encoders repeat one reading since {since}: they stopped harder than a drive brakes, or \
-         the images show that the climber moves. They may be frozen and are not used until they are \
-         consistent with the estimate again"
+        "the encoders repeat one reading since {since}, and the images show that the climber moves: \
+         they may be frozen, and are not used until they are consistent with the estimate again"
     )]
     EncodersFrozen { since: Stamp },
     #[error("the encoders are consistent with the estimate again at {stamp} and are used")]

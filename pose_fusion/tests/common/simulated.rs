@@ -18,6 +18,7 @@ pub fn rig() -> Rig {
 pub fn config() -> FusionConfig {
     let mut config = FusionConfig::default();
     config.tight.calibration = CalibrationSigmas::NONE;
+    config.tight.imu.mounting_yaw = 0.0;
     config
 }
 

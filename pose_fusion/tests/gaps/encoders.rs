@@ -106,3 +106,26 @@ fn standing_encoders_are_right_while_the_imu_is_silent() {
     let frozen = |w: &Warning| matches!(w, Warning::EncodersFrozen { .. });
     assert_eq!(outputs.warnings.iter().find(|w| frozen(w)), None);
 }
+
+/// Before, it was valid at once: with a wrong unit the adopted encoders contradict again.
+#[test]
+fn a_pose_with_adopted_encoders_must_hold_for_a_second_before_it_is_valid() {
+    let run = simulated::run(MotionConfig::nominal(1), &SensorConfig::nominal(1));
+    let inputs = run.timed().into_iter().map(|(at, mut input)| {
+        if let Input::Climber(sample) = &mut input
+            && at > 4.0
+        {
+            sample.world_from_climber.translation.x += 0.3;
+        }
+        input
+    });
+    let (_, outputs) = scoring::follow(FusionConfig::default(), inputs);
+    let adopted: Vec<_> = (outputs.warnings.iter())
+        .filter_map(|w| if let Warning::EncoderStep { stamp } = w { Some(*stamp) } else { None })
+        .collect();
+    let [adopted] = adopted[..] else { panic!("adopted at {adopted:?}") };
+    for s in outputs.status.iter().filter(|s| s.stamp > adopted) {
+        let after = s.stamp.seconds_since(adopted);
+        assert_eq!(s.valid, after > 1.0, "{after:.2} s: {s:?}");
+    }
+}

@@ -1,17 +1,14 @@
-//! Detection of encoder readings that are frozen or leap, and of a climber that hit an obstacle.
+//! Detection of encoder readings that are frozen or leap.
 
 use super::{ClimberTrack, MOVING_SPAN, MOVING_STEPS, NEAR, Reading, SPEED, way};
-use nalgebra::Vector3;
 use rig_model::Stamp;
 
 /// Number of equal readings of encoders that stand, and their shortest time, s: at a high rate
 /// those of a moving climber repeat as well.
 const STANDING: usize = 3;
 const SHORTEST: f64 = 0.03;
-/// Largest acceleration of a drive (m/s², m/s², rad/s²); a harder stop is a collision or a fault.
+/// Largest acceleration of a drive (m/s², m/s², rad/s²).
 const BRAKES: [f64; 3] = [3.0, 3.0, 2.0];
-/// The speed before a stop is that of readings at least this far apart, s.
-const SPEED_SPAN: f64 = 0.03;
 /// Readings that have been equal for this time may be frozen, s.
 pub const STOOD: f64 = 0.2;
 /// Readings leap where they differ by more than this (m, m, rad) beside three sigma of the speed.
@@ -62,7 +59,7 @@ impl ClimberTrack {
 
     /// Notes the axes whose encoders may have been frozen since an instant, until they move.
     pub fn suspect_frozen(&mut self, since: [Option<Stamp>; 3]) {
-        self.stopped = std::array::from_fn(|i| self.stopped[i].or(since[i]));
+        self.frozen = std::array::from_fn(|i| self.frozen[i].or(since[i]));
     }
 
     /// Returns whether two neighboring readings within `NEAR` of `stamp` differ by more than a
@@ -116,54 +113,14 @@ impl ClimberTrack {
         self.readings.partition_point(|(at, _, _)| at.seconds_since(stamp) < -1e-6)
     }
 
-    /// Returns since when an encoder has repeated one value at which a moving climber stopped
-    /// harder than a drive brakes: it is frozen, or the climber has run into something.
-    pub fn stopped_at_once(&self) -> Option<Stamp> {
-        self.stopped.iter().flatten().min().copied()
+    /// Returns whether an axis may be frozen.
+    pub fn may_be_frozen(&self) -> bool {
+        self.frozen.iter().any(Option::is_some)
     }
 
-    /// Forgets that an axis stopped at once: the climber has been seen to stand.
-    pub fn clear_stop(&mut self) {
-        self.stopped = [None; 3];
-    }
-
-    /// Looks for an axis that stopped at once, given a reading that is newer than the others and at
-    /// least the third of equal ones: every motion that agrees with the readings within one encoder
-    /// step has braked harder than [`BRAKES`], averaged from the middle of the time for which the
-    /// readings moved to the middle of the time for which they are equal.
-    pub(super) fn note_stop(&mut self, newest: Stamp, values: &Vector3<f64>) {
-        let steps = self.steps();
-        for axis in 0..3 {
-            let readings = || self.readings.iter().rev();
-            let recent = readings().take_while(|(at, _, _)| newest.seconds_since(*at) < STOOD);
-            let equal = recent.take_while(|(_, v, _)| v[axis] == values[axis]).count();
-            if equal == 0 {
-                self.stopped[axis] = None;
-            }
-            if equal + 1 < STANDING || self.stopped[axis].is_some() {
-                continue;
-            }
-            let before = |later: &Reading| {
-                readings().find(|(at, _, _)| later.0.seconds_since(*at) >= SPEED_SPAN)
-            };
-            let mut standing = readings().take(equal).rev();
-            let (Some(first), Some(second)) = (standing.next(), standing.next()) else { continue };
-            let Some(moving) = before(first) else { continue };
-            let Some(earlier) = before(moving) else { continue };
-            // The lowest speed between two readings, 0 where they may be equal.
-            let speed = |to: &Reading, from: &Reading| {
-                let way = way(&from.1, &to.1)[axis];
-                way.signum() * (way.abs() - steps[axis]).max(0.0) / to.0.seconds_since(from.0)
-            };
-            let (last, previous) = (speed(first, moving), speed(moving, earlier));
-            let stands = newest.seconds_since(first.0);
-            let braked = last.abs().min(previous.abs()) - steps[axis] / stands;
-            let lasts = newest.seconds_since(moving.0) / 2.0;
-            if last * previous > 0.0 && braked > BRAKES[axis] * lasts {
-                let half = second.0.seconds_since(first.0) / 2.0;
-                self.stopped[axis] = Some(first.0.plus_seconds(half));
-            }
-        }
+    /// Forgets that an axis may be frozen: the climber has been seen to stand.
+    pub fn clear_frozen(&mut self) {
+        self.frozen = [None; 3];
     }
 }
 
@@ -171,6 +128,7 @@ impl ClimberTrack {
 mod tests {
     use super::*;
     use crate::{config::ClimberConfig, measurements::geometry::ClimberHeightTilt};
+    use nalgebra::Vector3;
     use rig_model::wrap_angle;
 
     const START: Stamp = Stamp::from_nanos(1_760_001_000_000_000_000);
@@ -186,45 +144,6 @@ mod tests {
             track.add(START.plus_seconds(t), values(t), rest());
         }
         track
-    }
-
-    #[test]
-    fn an_encoder_that_freezes_on_one_axis_is_distinguished_from_brakes_and_slow_readings() {
-        let period = 0.02;
-        // Readings whose position (m) and turn (rad) are functions of the time; y always moves.
-        let stopped = |x: &dyn Fn(f64) -> f64, turn: &dyn Fn(f64) -> f64| {
-            let mut track = ClimberTrack::new(&ClimberConfig::default());
-            let mut found = None;
-            for i in 0..100 {
-                let t = f64::from(i) * period;
-                let stepped = |v: f64| (v * 1e3).round() * 1e-3;
-                let values = Vector3::new(stepped(x(t)), stepped(0.2 * t), wrap_angle(turn(t)));
-                track.add(START.plus_seconds(t), values, rest());
-                found = found.or(track.stopped_at_once().map(|at| at.seconds_since(START)));
-            }
-            found
-        };
-        let still = |_: f64| 3.1;
-        // 0.2 m/s, frozen from 1 s on.
-        let frozen = stopped(&|t| 0.2 * t.min(1.0), &still);
-        assert!(frozen.is_some_and(|at| (at - 1.01).abs() < 1e-6), "{frozen:?}");
-        // The turn passes from pi to -pi and freezes.
-        let frozen = stopped(&|_| 0.3, &|t| 3.1 + 0.2 * t.min(1.0));
-        assert!(frozen.is_some_and(|at| (at - 1.01).abs() < 1e-6), "{frozen:?}");
-        // A drive that brakes with 2 m/s², one that creeps, and an encoder that is read at 10 Hz.
-        let braked = |t: f64| {
-            if t < 1.0 {
-                0.3 * t
-            } else {
-                0.3 + 0.0225 * (1.0 - (1.0 - (t - 1.0) / 0.15).max(0.0).powi(2))
-            }
-        };
-        assert_eq!(stopped(&braked, &still), None);
-        assert_eq!(stopped(&|t| 0.02 * t, &still), None);
-        assert_eq!(stopped(&|t| 1.5 * (t - 1.007).powi(2), &still), None);
-        assert_eq!(stopped(&|t| 0.3 * (t / 0.1).floor() * 0.1, &still), None);
-        // Encoders that are set to another value while the climber stands.
-        assert_eq!(stopped(&|t| if t < 1.0 { 0.3 } else { 1.3 }, &still), None);
     }
 
     #[test]
@@ -266,28 +185,6 @@ mod tests {
         let since = track.standing_since().map(|since| since.unwrap().seconds_since(START));
         assert!(track.standing()[0] && (since[0] - 1.0).abs() < 0.004, "{since:?}");
         assert_eq!(since[1], 0.0, "longer than the readings that are kept");
-    }
-
-    #[test]
-    fn a_climber_that_turns_around_has_not_stopped_at_once() {
-        let mut found = Vec::new();
-        // It brakes as hard as a drive can, or less, and drives back; at each phase of the encoder.
-        for (rate, decel) in [(50, 3.0), (50, 2.0), (100, 2.0), (500, 1.0), (500, 0.2)] {
-            for phase in 0..50 {
-                let turns = 1.0 + f64::from(phase) / 50.0 / f64::from(rate);
-                let mut track = ClimberTrack::new(&ClimberConfig::default());
-                for i in 0..2 * rate {
-                    let t = f64::from(i) / f64::from(rate);
-                    let x = -0.5 * decel * (t - turns).powi(2) + 2e-5 * f64::from(phase);
-                    let values = Vector3::new((x * 1e3).round() * 1e-3, 0.0, 0.0);
-                    track.add(START.plus_seconds(t), values, rest());
-                    if track.stopped_at_once().is_some() {
-                        found.push((rate, decel, phase, t));
-                    }
-                }
-            }
-        }
-        assert_eq!(found, []);
     }
 
     #[test]
