@@ -58,6 +58,8 @@ pub struct FusionNode {
     rig_check: RigCheck,
     /// What is wrong with the frame of the IMU samples.
     imu_frame: Option<String>,
+    /// Whether a sample in another frame has come since the last diagnostics.
+    in_other_frame: Arc<AtomicBool>,
     /// Periods since the estimator's newest status.
     quiet: u32,
 }
@@ -66,7 +68,7 @@ pub struct FusionNode {
 pub enum Event {
     /// Input of the estimator.
     Input(Box<Input>),
-    /// First IMU sample in a frame that is not the rig file's, with the frame.
+    /// First IMU sample since the last diagnostics in a frame that is not the rig file's, with it.
     OtherFrame(Box<Input>, String),
     /// Request of an operator.
     Request(Request),
@@ -114,7 +116,8 @@ impl NodeShell for FusionNode {
             context.advertise_transforms()?;
         }
         context.timer(STATUS_PERIOD, || Event::StatusDue);
-        let (imu_frame, reported) = (frames.imu.clone(), AtomicBool::new(false));
+        let (imu_frame, in_other_frame) = (frames.imu.clone(), Arc::new(AtomicBool::new(false)));
+        let reported = in_other_frame.clone();
         context.subscribe(
             topics::IMU,
             QosPreset::Sensor,
@@ -165,6 +168,7 @@ impl NodeShell for FusionNode {
             rejections: Rejections::default(),
             rig_check: RigCheck::default(),
             imu_frame: None,
+            in_other_frame,
             quiet: 0,
         })
     }
@@ -185,8 +189,10 @@ impl NodeShell for FusionNode {
                     topics::IMU,
                     self.frames.imu
                 );
-                context.log(Level::Warn, &why);
-                self.imu_frame = Some(why);
+                if self.imu_frame.as_ref() != Some(&why) {
+                    context.log(Level::Warn, &why);
+                    self.imu_frame = Some(why);
+                }
                 self.fusion.handle(*input);
             }
             Event::StatusDue => {
@@ -289,6 +295,9 @@ impl NodeShell for FusionNode {
             let mut findings = if starved { vec![] } else { self.rig_check.findings(&s) };
             if !findings.is_empty() {
                 findings.push("find the cause with `volant check` in a recording".to_owned());
+            }
+            if !self.in_other_frame.swap(false, Ordering::Relaxed) {
+                self.imu_frame = None;
             }
             findings.extend(self.imu_frame.clone());
             let (health, message) = if findings.is_empty() {

@@ -79,6 +79,29 @@ fn the_offset_is_unknown_without_motion() {
     assert!(score.position_rmse() < 1.0, "{score}");
 }
 
+/// A swing of 1.6 degrees below a climber at 6 cm/s: no window of 1.5 s shows the offset, but all of
+/// them together do.
+#[test]
+fn the_offset_is_found_in_a_weak_motion_too() {
+    for seed in 1..=3 {
+        let nominal = MotionConfig::nominal(seed);
+        let motion = MotionConfig {
+            duration: 40.0,
+            swing: 0.2 * nominal.swing,
+            wobble: 0.2 * nominal.wobble,
+            yaw: 0.2 * nominal.yaw,
+            climber_speed: 0.2 * nominal.climber_speed,
+            climber_turn_rate: 0.2 * nominal.climber_turn_rate,
+            ..nominal
+        };
+        let (score, status) = follow(motion, &shared(0.08, seed), FusionConfig::default(), 1.0);
+        let offset = status.time_offset;
+        let error = (offset.offset + 0.08).abs();
+        assert!(!offset.searching && error < 3.0 * offset.sigma, "seed {seed}: {offset:?}");
+        assert!(offset.sigma < 0.003 && score.position_rmse() < 2.5, "seed {seed}: {score}");
+    }
+}
+
 #[test]
 fn a_constant_offset_of_the_climber_is_configured() {
     // The climber's stamps are 60 ms ahead: its readings are 60 ms older than their stamp.
@@ -150,6 +173,26 @@ fn what_is_smoothed_advances_over_a_restart_with_another_offset() {
     let smoothed = fusion.smoothed(true);
     let back = smoothed.windows(2).filter(|w| w[1].stamp <= w[0].stamp).count();
     assert!(smoothed.len() > 500 && back == 0, "{back} of {} go back", smoothed.len());
+}
+
+/// Before, everything behind a clock that was set back was dropped, and kept in memory until then.
+#[test]
+fn what_comes_behind_a_clock_that_was_set_back_is_smoothed() {
+    let run =
+        simulated::run(MotionConfig { duration: 6.0, ..MotionConfig::nominal(3) }, &shared(0.0, 3));
+    let mut fusion = Fusion::new(simulated::rig(), simulated::config());
+    fusion.keep_for_smoothing();
+    let mut count = 0;
+    for back in [0.0, 1000.0] {
+        let inputs = run.changed(|_, input| {
+            if let Some(stamp) = simulated::stamp_of(input) {
+                *stamp = stamp.plus_seconds(-back);
+            }
+        });
+        count += scoring::run(&mut fusion, inputs).odometry.len();
+    }
+    let smoothed = [fusion.smoothed(false), fusion.smoothed(true)].map(|part| part.len());
+    assert!(smoothed[0] > 500 && smoothed[0] + smoothed[1] + 20 > count, "{smoothed:?} of {count}");
 }
 
 /// Moves the stamp of an image or encoder reading by seconds that depend on it.

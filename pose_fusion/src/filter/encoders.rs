@@ -108,6 +108,8 @@ impl Filter {
                 self.publisher.warn(Warning::EncodersResumed { stamp: at });
                 false
             }
+            // No image could initialize the pose.
+            Verdict::Adopt if self.setup.frozen => false,
             Verdict::Adopt => {
                 self.climber.clear_frozen();
                 self.publisher.counts.resets.encoder_steps += 1;

@@ -120,7 +120,7 @@ impl Filter {
     }
 
     fn next_imu(&mut self, sample: &ImuSample, reading: ImuReading, dt: Option<f64>) {
-        if let (Some(first), true) = (self.history.get(0), self.start.started)
+        if let (Some(first), true) = (self.history.get(0), self.is_started())
             && sample.stamp <= first.stamp
         {
             // Held back until after an image alone had initialized the pose, or of a clock that is
@@ -143,10 +143,11 @@ impl Filter {
                     .is_some_and(|end| sample.stamp.seconds_since(end) < INTERPOLATED);
             // What neither samples nor images with four markers have followed is not bridged where
             // an image can reinitialize the pose (three markers may have followed the mirrored
-            // tilt), and an attitude that is hardly known is no point to linearize at.
+            // tilt; a frozen filter uses none), and an attitude that is hardly known is no point
+            // to linearize at.
             let unknown = self.state().is_some_and(|s| s.sigmas(ATTITUDE).max() > LARGEST_ATTITUDE);
             let unfollowed = seconds > INTERPOLATED && !covered && self.start.markers_seen >= 3;
-            if self.start.started && (unfollowed || unknown) {
+            if self.is_started() && !self.setup.frozen && (unfollowed || unknown) {
                 self.restart();
                 dt = None;
             }
@@ -173,7 +174,7 @@ impl Filter {
             }
         }
         self.trim(self.arrival.end().unwrap_or(sample.stamp));
-        if self.start.started {
+        if self.is_started() {
             self.process();
             self.publish();
         } else if self.resume(sample.stamp) {
@@ -194,9 +195,9 @@ impl Filter {
     fn late_imu(&mut self, sample: &ImuSample, reading: ImuReading) {
         let stamp = sample.stamp;
         let place = self.history.place_of(stamp);
-        let before = place.checked_sub(1).and_then(|p| self.history.get(p));
-        let same = before.filter(|n| n.stamp == stamp && n.is_imu());
-        if same.is_some_and(|n| n.reading == reading) {
+        let before = self.history.before(place).take_while(|entry| entry.stamp == stamp);
+        let same = before.filter(|entry| entry.is_imu()).map(|entry| entry.reading).next();
+        if same == Some(reading) {
             return self.publisher.reject(Warning::Duplicate { from: Source::Imu, stamp });
         }
         if let Some(by_s) = self.arrival.late_imu(stamp, self.fills_gap(place)) {
@@ -205,7 +206,7 @@ impl Filter {
         if same.is_some() {
             return self.publisher.reject(Warning::Duplicate { from: Source::Imu, stamp });
         }
-        if before.is_none() {
+        if place == 0 {
             let age_s = self.age(stamp);
             return self.publisher.reject(Warning::TooOld { from: Source::Imu, stamp, age_s });
         }
@@ -213,9 +214,7 @@ impl Filter {
         let noise = self.imu.densities(&self.setup.rig.imu);
         let place = self.history.insert(stamp, Event::Imu { noise, at_rest: None }, reading);
         self.interpolate_again(place);
-        if self.start.started {
-            self.process();
-        }
+        self.process();
     }
 
     /// Whether the IMU samples around a place are so far apart that one is missing between them.
@@ -262,9 +261,9 @@ impl Filter {
         if silent {
             self.follow_without_imu(stamp);
         }
-        if !self.start.started {
+        if !self.is_started() {
             self.start_or_wait(stamp, pixels);
-            if silent && self.start.started {
+            if silent && self.is_started() {
                 self.publish();
             }
             return;
@@ -289,7 +288,8 @@ impl Filter {
         image.stamp_sigma = stamp_sigma as f32;
         image.shake = self.markers.shake.variance().map(|v| v as f32).into();
         image.layout_doubt = layout_doubt.map(|sigma| sigma as f32);
-        self.history.insert(at, Event::Image { image, stamp, fresh: true }, ImuReading::default());
+        let event = Event::Image { image, stamp, fresh: true, apply: !self.setup.frozen };
+        self.history.insert(at, event, ImuReading::default());
         self.process();
         if !self.setup.frozen {
             self.search_time_offset(stamp, &pixels);
@@ -336,7 +336,7 @@ impl Filter {
         let at = stamp.plus_seconds(time_offset);
         let end = self.arrival.end().unwrap_or(at);
         self.climber.note_latency(end.seconds_since(at));
-        if self.start.started && self.history.get(0).is_none_or(|first| at <= first.stamp) {
+        if self.is_started() && self.history.get(0).is_none_or(|first| at <= first.stamp) {
             let age_s = self.age(stamp);
             return self.publisher.reject(Warning::TooOld { from, stamp, age_s });
         }
@@ -355,7 +355,7 @@ impl Filter {
         }
         let event = Event::Encoders { reading, excluded: self.trust.is_suspended(), fresh: true };
         self.history.insert(at, event, ImuReading::default());
-        if self.start.started {
+        if self.is_started() {
             self.process();
         } else {
             self.trim(at.max(end));
@@ -370,12 +370,12 @@ impl Filter {
     /// Drops what is older than the configured history before `newest`.
     fn trim(&mut self, newest: Stamp) {
         let oldest = newest.plus_seconds(-self.setup.config.history);
-        let started = self.start.started;
+        let started = self.is_started();
         while self.history.len() > 2
             && (!started || self.history.processed() > 1)
             && self.history.get(1).is_some_and(|n| n.stamp < oldest)
         {
-            if started && self.history.processed() > 0 {
+            if started {
                 self.publisher.archive(self.history.get(0));
             }
             self.history.drop_first();

@@ -126,11 +126,13 @@ impl Filter {
         *self = fresh;
     }
 
+    /// Returns whether there is a pose.
+    pub(super) fn is_started(&self) -> bool {
+        self.history.processed() > 0
+    }
+
     /// Returns the newest state, once initialized.
     pub fn state(&self) -> Option<&State> {
-        if !self.start.started {
-            return None;
-        }
         self.history.newest_processed().map(|entry| &entry.state)
     }
 
@@ -139,7 +141,7 @@ impl Filter {
         let (config, imu) = (&self.setup.config, &self.setup.rig.imu);
         let geometry = self.setup.geometry.as_ref();
         let mut status = Status {
-            initialized: self.start.started,
+            initialized: self.is_started(),
             encoders_suspended: self.trust.is_suspended(),
             newest_imu: self.arrival.newest_imu().map(|(stamp, _)| stamp),
             imu_noise: self.imu.densities(imu),

@@ -20,10 +20,8 @@ const OFFSET_KNOWN: f64 = 5e-3;
 impl Filter {
     /// See [`crate::Fusion::checkpoint`].
     pub fn checkpoint(&self) -> Result<Checkpoint, Refusal> {
-        match self.history.newest_processed() {
-            Some(entry) if self.start.started => Ok(Checkpoint::of(&entry.state, entry.stamp)),
-            _ => Err(Refusal::NotInitialized),
-        }
+        let newest = self.history.newest_processed().ok_or(Refusal::NotInitialized)?;
+        Ok(Checkpoint::of(&newest.state, newest.stamp))
     }
 
     /// See [`crate::Fusion::restore`]; a state beyond physical bounds is refused, too.
@@ -79,7 +77,6 @@ impl Filter {
         }
         let read = at.plus_seconds(-self.encoder_offset());
         let before = self.history.place_of(at).min(self.history.processed()).checked_sub(1);
-        let before = before.filter(|_| self.start.started);
         let before = before.and_then(|place| self.history.get(place));
         let initialized = before.is_some();
         let mut state = match (before, self.climber.at(read)) {
@@ -119,7 +116,6 @@ impl Filter {
             }
         }
         self.publisher.continuity.reset();
-        self.start.started = true;
         self.set_state(at, state);
         Ok(())
     }

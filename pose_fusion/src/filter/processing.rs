@@ -63,6 +63,9 @@ const SETTLED: f64 = 2.0;
 impl Filter {
     /// Processes everything on the time line up to its end.
     pub(super) fn process(&mut self) {
+        if !self.is_started() {
+            return;
+        }
         let Some(end) = self.arrival.end() else { return };
         while let Some((place, step)) = self.step(end) {
             let Some(entry) = self.history.get_mut(place) else { return };
@@ -80,7 +83,7 @@ impl Filter {
                     let (excluded, fresh) = (*excluded, std::mem::take(fresh));
                     self.on_encoders(place, at, &innovation, excluded, fresh)
                 }
-                (Step::Image(record, smoothing), Event::Image { image, stamp, fresh }) => {
+                (Step::Image(record, smoothing), Event::Image { image, stamp, fresh, .. }) => {
                     let (image, stamp) = (*image, *stamp);
                     if std::mem::take(fresh) {
                         self.imu.smoothing = smoothing;
@@ -110,7 +113,6 @@ impl Filter {
             rope: rope.zip(self.climber.newest().map(|(_, _, rest)| *rest)),
             noise_of_changes: self.imu.noise.noise_of_changes(self.imu.smoothing),
             imu_period: self.imu.noise.period(),
-            frozen: self.setup.frozen,
         };
         repropagation::step(&mut self.history, &context, end)
     }

@@ -164,7 +164,7 @@ impl Publisher {
 impl Filter {
     /// Outputs the estimate at the end of the time line: odometry, status, prediction and swing.
     pub(super) fn publish(&mut self) {
-        let (Some(end), true) = (self.arrival.end(), self.start.started) else { return };
+        let (Some(end), true) = (self.arrival.end(), self.is_started()) else { return };
         let settings = self.settings();
         let (Some(geometry), Some(entry)) = (&self.setup.geometry, self.history.newest_processed())
         else {
@@ -257,7 +257,7 @@ impl Filter {
     pub fn publish_status(&mut self) {
         let Some(now) = self.publisher.now else { return };
         let since = |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| now.seconds_since(s));
-        let started = self.start.started;
+        let started = self.is_started();
         if !started {
             self.publisher.awaited = Some(now);
         }
@@ -349,11 +349,9 @@ impl Filter {
 
     /// Keeps the processed entries at the end of an estimate: those before `until`, if given.
     pub(super) fn archive_until(&mut self, until: Option<Stamp>) {
-        if self.start.started {
-            for place in 0..self.history.processed() {
-                let entry = self.history.get(place);
-                self.publisher.archive(entry.filter(|e| until.is_none_or(|u| e.stamp < u)));
-            }
+        for place in 0..self.history.processed() {
+            let entry = self.history.get(place);
+            self.publisher.archive(entry.filter(|e| until.is_none_or(|u| e.stamp < u)));
         }
     }
 
@@ -369,14 +367,16 @@ impl Filter {
         let (Some(first), Some(last)) = (archive.first(), archive.last()) else {
             return Vec::new();
         };
-        let (first, last) = (first.stamp, last.stamp);
-        if !end && last.seconds_since(first) <= SMOOTHED + LAG {
+        // A clock that was set back is no reason to wait.
+        let (span, last) = (last.stamp.seconds_since(first.stamp), last.stamp);
+        if !end && (0.0..=SMOOTHED + LAG).contains(&span) {
             return Vec::new();
         }
         let entries = std::mem::take(archive);
         let states = smoother::smooth(&entries, self.setup.config.gravity);
         let until = if end { last } else { last.plus_seconds(-LAG) };
-        let ready = entries.iter().take_while(|e| e.stamp <= until).count();
+        let later = entries.iter().rev().take_while(|e| e.stamp > until && e.stamp <= last);
+        let ready = entries.len() - later.count();
         let settings = self.settings();
         let smoothed = entries.iter().zip(&states).take(ready).filter(|(e, _)| e.is_imu());
         let smoothed = smoothed

@@ -22,12 +22,16 @@ impl Filter {
             return;
         }
         self.climber.assumed_variance = *variance;
+        // Readings that are used loosely keep their variance.
+        let suspended = self.trust.is_suspended();
         let more = (variance - before).map(|more| more.max(0.0));
         for place in 0..self.history.len() {
             let Some(entry) = self.history.get_mut(place) else { continue };
             match &mut entry.event {
                 Event::Encoders { reading, .. } => {
-                    reading.variance = variance.component_mul(&reading.multiplicity)
+                    let known = variance.component_mul(&reading.multiplicity);
+                    let before = if suspended { reading.variance } else { Vector3::zeros() };
+                    reading.variance = known.sup(&before);
                 }
                 // Everything that the image measured moves with the climber.
                 Event::Set if place == 0 => {

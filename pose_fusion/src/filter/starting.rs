@@ -47,7 +47,6 @@ pub(super) const OFFSET_SIGMA: [f64; 2] = [1e-3, 1.5];
 /// What the initialization remembers.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Start {
-    pub(super) started: bool,
     /// Image to start from, while the IMU samples have not come so far.
     awaited: Option<(Stamp, Pixels)>,
     /// Last state before an outage: its offset and biases serve the next start.
@@ -57,8 +56,9 @@ pub(super) struct Start {
     pub(super) time_offset: Option<TimeOffset>,
     /// Time offset with which the pose was initialized, s.
     pub(super) initial_offset: f64,
-    /// Where the filter's time offset has stayed since when.
-    pub(super) settled: SettledOffset,
+    /// Image since which the filter's time offset has not moved further than it corrects linearly,
+    /// and that offset, s.
+    pub(super) settled: (Stamp, f64),
     /// The time offset was known before, and is searched because images contradict it.
     pub(super) searches_again: bool,
     /// Uncertainty of the time offset while it is searched, s, once there is an alignment.
@@ -67,14 +67,6 @@ pub(super) struct Start {
     pub(super) wrong_gravity: Option<f64>,
     /// Markers detected in the newest image.
     pub(super) markers_seen: usize,
-}
-
-/// Time offset from which the filter has not moved further than it corrects linearly.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct SettledOffset {
-    pub since: Stamp,
-    /// Offset then, s.
-    pub offset: f64,
 }
 
 impl Filter {
@@ -89,7 +81,7 @@ impl Filter {
         self.imu.interrupt();
         self.trust.reset();
         self.lock_out.clear();
-        (self.start.started, self.start.awaited) = (false, None);
+        self.start.awaited = None;
     }
 
     /// While the IMU is silent images move the end of the time line.
@@ -101,7 +93,7 @@ impl Filter {
             self.publisher.warn(Warning::ImuLost { since });
         }
         let ahead = self.arrival.end().map_or(0.0, |end| at.seconds_since(end));
-        if self.start.started && !(-JUMP..=AHEAD).contains(&ahead) {
+        if self.is_started() && !(-JUMP..=AHEAD).contains(&ahead) {
             let arrival = self.arrival.clone();
             if ahead < 0.0 {
                 // The clock was set back.
@@ -163,7 +155,6 @@ impl Filter {
             return false;
         }
         let Some(state) = self.start.kept.take() else { return false };
-        self.start.started = true;
         self.set_state(at, *state);
         true
     }
@@ -205,11 +196,11 @@ impl Filter {
             return self.publisher.skip(stamp, pixels, Outcome::NotInitialized);
         };
         let enough = pixels.iter().flatten().count() >= 3;
+        self.start.wrong_gravity =
+            self.imu.wrong_gravity(at, &self.history, self.setup.config.gravity);
         if !enough || !measured || self.setup.frozen {
             return self.publisher.skip(stamp, pixels, Outcome::NotInitialized);
         }
-        self.start.wrong_gravity =
-            self.imu.wrong_gravity(at, &self.history, self.setup.config.gravity);
         if !absent && self.start.wrong_gravity.is_some() {
             return self.publisher.skip(stamp, pixels, Outcome::NotInitialized);
         }
@@ -224,7 +215,6 @@ impl Filter {
         self.publisher.record(stamp, &start.record, false);
         self.lock_out.initialized(stamp);
         self.publisher.warn(Warning::Initialized { stamp });
-        self.start.started = true;
         self.markers.noise.raise(start.noise_factor, &PIXEL_NOISE);
         self.markers.shake.interrupt(stamp, &start.record);
         let mut state = start.state;
@@ -275,7 +265,7 @@ impl Filter {
     pub(super) fn set_state(&mut self, at: Stamp, state: State) {
         let image = at.plus_seconds(-state.time_offset);
         self.start.initial_offset = state.time_offset;
-        self.start.settled = SettledOffset { since: at, offset: state.time_offset };
+        self.start.settled = (image, state.time_offset);
         let place = self.history.place_of(at);
         let before = place.checked_sub(1).and_then(|p| self.history.get(p));
         let reading = match (before, self.history.next_imu(place)) {

@@ -1,10 +1,7 @@
 //! Camera time offset of the filter: searched by alignment ([`crate::initialization::time_offset`])
 //! until it is known.
 
-use super::{
-    Filter,
-    starting::{OFFSET_SIGMA, SettledOffset},
-};
+use super::{Filter, starting::OFFSET_SIGMA};
 use crate::{
     ekf::{propagation::ImuReading, state::TIME_OFFSET},
     health::encoder_trust::Cause,
@@ -54,8 +51,8 @@ impl Filter {
         let c = &self.setup.config;
         let noise = self.imu.densities(&self.setup.rig.imu);
         let offset = self.time_offset();
-        if (offset - self.start.settled.offset).abs() > OFFSET_LINEAR {
-            self.start.settled = SettledOffset { since: stamp, offset };
+        if (offset - self.start.settled.1).abs() > OFFSET_LINEAR {
+            self.start.settled = (stamp, offset);
         }
         let found = search.find(
             &geometry.volant_from_imu,
@@ -200,7 +197,7 @@ impl Filter {
         // they are gone after a while. One that knew its offset restarts only where that is
         // refuted.
         let near = (self.start.initial_offset - found.offset).abs().max(away) < OFFSET_LINEAR;
-        let settled = stamp.seconds_since(self.start.settled.since) > WINDOW
+        let settled = stamp.seconds_since(self.start.settled.0) > WINDOW
             && self.time_offset_sigma().is_some_and(|own| own < KNOWN);
         let agrees = if self.start.searches_again {
             !self.contradicts(&found)
@@ -211,7 +208,7 @@ impl Filter {
             self.publisher.counts.resets.time_offsets += 1;
             self.publisher.warn(Warning::TimeOffset { offset_s: found.offset });
         }
-        if agrees || !self.start.started {
+        if agrees || !self.is_started() {
             return;
         }
         // Biases and constants of the IMU from before the offset was known are worth nothing.
@@ -235,7 +232,6 @@ impl Filter {
         let events: Vec<(Stamp, Event, ImuReading)> =
             self.history.iter().map(|e| (e.stamp, e.event.clone(), e.reading)).collect();
         self.history.clear();
-        self.start.started = false;
         for (at, mut event, reading) in events {
             let moved = match &mut event {
                 Event::Set => continue,

@@ -56,6 +56,32 @@ impl Up {
     }
 }
 
+/// The IMU's own directions of "up" by their instants.
+#[derive(Clone, Debug, Default)]
+pub struct Ups(VecDeque<(Stamp, Up)>);
+
+impl Ups {
+    /// Adds that of a sample that has a usable attitude, with a sigma of at least `floor` rad.
+    pub fn add(&mut self, sample: &ImuSample, floor: f64) {
+        let Some(up) = up_of(sample, floor) else { return };
+        let since = |(at, _): &(Stamp, Up)| sample.stamp.seconds_since(*at);
+        if self.0.back().is_some_and(|last| (0.0..SPACING).contains(&since(last))) {
+            return;
+        }
+        while self.0.front().is_some_and(|first| !(0.0..KEPT).contains(&since(first))) {
+            self.0.pop_front();
+        }
+        self.0.push_back((sample.stamp, up));
+    }
+
+    /// Returns the one nearest to an instant, within 0.1 s.
+    pub fn at(&self, stamp: Stamp) -> Option<Up> {
+        let distance = |s: &Stamp| (s.as_nanos() - stamp.as_nanos()).unsigned_abs();
+        let (at, up) = self.0.iter().min_by_key(|(s, _)| distance(s))?;
+        (at.seconds_since(stamp).abs() < NEAR).then_some(*up)
+    }
+}
+
 /// State of the IMU input.
 #[derive(Clone, Debug, Default)]
 pub struct ImuInput {
@@ -68,7 +94,7 @@ pub struct ImuInput {
     /// Noise of the samples.
     pub noise: ImuNoise,
     stationary: Stationary,
-    ups: VecDeque<(Stamp, Up)>,
+    ups: Ups,
     ignores_attitude: bool,
     /// Model error identified from the images.
     pub model_error: Excess,
@@ -107,20 +133,13 @@ impl ImuInput {
     /// Ignores the IMU's own attitude from now on.
     pub fn ignore_attitude(&mut self) {
         self.ignores_attitude = true;
-        self.ups.clear();
+        self.ups = Ups::default();
     }
 
     /// Remembers the IMU's own attitude, where the sample has a usable one.
     pub fn remember_attitude(&mut self, sample: &ImuSample, floor: f64) {
-        if let (Some(up), false) = (up_of(sample, floor), self.ignores_attitude) {
-            let since = |(at, _): &(Stamp, Up)| sample.stamp.seconds_since(*at);
-            if self.ups.back().is_some_and(|last| (0.0..SPACING).contains(&since(last))) {
-                return;
-            }
-            while self.ups.front().is_some_and(|first| !(0.0..KEPT).contains(&since(first))) {
-                self.ups.pop_front();
-            }
-            self.ups.push_back((sample.stamp, up));
+        if !self.ignores_attitude {
+            self.ups.add(sample, floor);
         }
     }
 
@@ -148,7 +167,7 @@ impl ImuInput {
 
     /// Returns the IMU's own direction of "up" at an instant.
     pub fn own_up_at(&self, stamp: Stamp) -> Option<Up> {
-        nearest(&self.ups, stamp)
+        self.ups.at(stamp)
     }
 
     /// Returns the mean direction of the specific force around an instant.
@@ -193,7 +212,7 @@ pub fn given(mounting: &ImuMounting) -> Densities {
 
 /// Returns the IMU's own direction of "up" in a sample, with a sigma of at least `floor` rad.
 /// `None` without a usable attitude.
-pub fn up_of(sample: &ImuSample, floor: f64) -> Option<Up> {
+fn up_of(sample: &ImuSample, floor: f64) -> Option<Up> {
     let orientation = sample.orientation.as_ref()?;
     let enu_from_imu: &UnitQuaternion<f64> = &orientation.enu_from_imu;
     let coords = enu_from_imu.coords;
@@ -207,11 +226,4 @@ pub fn up_of(sample: &ImuSample, floor: f64) -> Option<Up> {
         sigma: sigma.max(floor),
         is_specific_force: false,
     })
-}
-
-/// Returns the entry of a series that is nearest to an instant, within 0.1 s.
-pub fn nearest(ups: &VecDeque<(Stamp, Up)>, stamp: Stamp) -> Option<Up> {
-    let distance = |s: &Stamp| (s.as_nanos() - stamp.as_nanos()).unsigned_abs();
-    let (at, up) = ups.iter().min_by_key(|(s, _)| distance(s))?;
-    (at.seconds_since(stamp).abs() < NEAR).then_some(*up)
 }

@@ -14,7 +14,7 @@ use crate::{
     timeline::arrival::Source,
 };
 use nalgebra::Matrix2;
-use rig_model::{MarkerObservations, MarkerState, Stamp};
+use rig_model::{MarkerObservation, MarkerObservations, MarkerState, Stamp};
 use std::collections::VecDeque;
 
 /// Largest coordinate (px) and variance (px²) of a usable centroid.
@@ -87,11 +87,7 @@ impl MarkerInput {
                 continue;
             }
             let c = &marker.covariance;
-            let usable = marker.centroid.iter().all(|x| x.is_finite() && x.abs() < LARGEST[0])
-                && c.iter().all(|x| x.is_finite() && x.abs() < LARGEST[1])
-                && c.determinant() >= 0.0
-                && c.trace() >= 0.0;
-            if !usable {
+            if !is_usable(marker) {
                 let (stamp, what) = (observations.stamp, color.name());
                 reject(Warning::NotFinite { from: Source::Image, stamp, what });
                 continue;
@@ -103,4 +99,13 @@ impl MarkerInput {
         }
         pixels
     }
+}
+
+/// Returns whether centroid and covariance of a marker are numbers in their range.
+pub fn is_usable(marker: &MarkerObservation) -> bool {
+    let c = &marker.covariance;
+    marker.centroid.iter().all(|x| x.is_finite() && x.abs() < LARGEST[0])
+        && c.iter().all(|x| x.is_finite() && x.abs() < LARGEST[1])
+        && c.determinant() >= 0.0
+        && c.trace() >= 0.0
 }

@@ -35,6 +35,14 @@ pub struct Settings {
 /// Changes of velocity, m/s, and angular velocity, rad/s, that images alone may miss.
 const UNSEEN_MOTION: [f64; 2] = [0.3, 0.5];
 
+impl Settings {
+    /// Returns the variance of the angular velocity beside the gyroscope bias', (rad/s)²: while the
+    /// IMU is silent the platform is taken not to turn.
+    pub fn rate_variance(&self) -> f64 {
+        self.rate_variance + if self.silent { UNSEEN_MOTION[1].powi(2) } else { 0.0 }
+    }
+}
+
 /// Returns the odometry of a state at `stamp`.
 pub fn odometry(
     stamp: Stamp,
@@ -66,9 +74,6 @@ pub fn odometry(
     twist.fixed_view_mut::<3, 3>(0, 9).copy_from(&(lever_cross * by_bias));
     twist.fixed_view_mut::<3, 3>(3, 9).copy_from(&by_bias);
     let symmetric = |m: Matrix6<f64>| (m + m.transpose()) * 0.5;
-    // While the IMU is silent the platform is taken not to turn.
-    let unseen = if settings.silent { UNSEEN_MOTION[1].powi(2) } else { 0.0 };
-    let rate_variance = settings.rate_variance + unseen;
     let mut white = SMatrix::<f64, 6, 3>::zeros();
     white.fixed_view_mut::<3, 3>(0, 0).copy_from(&lever_cross);
     white.fixed_view_mut::<3, 3>(3, 0).fill_with_identity();
@@ -79,7 +84,7 @@ pub fn odometry(
         linear_velocity,
         angular_velocity,
         twist_covariance: symmetric(
-            twist * p * twist.transpose() + white * white.transpose() * rate_variance,
+            twist * p * twist.transpose() + white * white.transpose() * settings.rate_variance(),
         ),
     }
 }

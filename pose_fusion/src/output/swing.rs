@@ -196,7 +196,7 @@ pub fn swing(
 fn covariance(state: &State, jacobian: &SMatrix<f64, 6, N>, settings: &Settings) -> Matrix6<f64> {
     let by_rate = jacobian.fixed_columns::<3>(GYROSCOPE_BIAS);
     let mut p = jacobian * state.covariance * jacobian.transpose()
-        + by_rate * by_rate.transpose() * settings.rate_variance;
+        + by_rate * by_rate.transpose() * settings.rate_variance();
     let sensitivity: SMatrix<f64, 6, PARAMETERS> =
         jacobian * state.sensitivity.map(f64::from).transpose();
     p += settings.calibration.spread(&sensitivity, &state.calibration);

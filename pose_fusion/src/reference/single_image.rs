@@ -9,24 +9,18 @@
 
 use crate::{
     config::{FusionConfig, Model},
-    input::{
-        climber_track::ClimberTrack,
-        imu::{Up, nearest, up_of},
-    },
+    input::{climber_track::ClimberTrack, imu::Ups, markers::is_usable},
     measurements::geometry::ClimberHeightTilt,
     output::PoseEstimate,
     reference::{marker_measurement::SightLine, published_pose::published_pose},
 };
 use nalgebra::{Isometry3, Matrix2, Matrix6, Point3, Vector3, Vector6};
 use rig_model::{
-    CameraModel, ClimberSample, ImuSample, MarkerObservation, MarkerObservations, MarkerState,
-    PerColor, Rig, Sample, Stamp,
+    CameraModel, ClimberSample, MarkerObservation, MarkerObservations, MarkerState, PerColor, Rig,
+    Sample, Stamp,
     planar_pose::{self, MarkerPixels, PlanarPose},
 };
-use std::collections::VecDeque;
 
-/// Number of attitudes kept.
-const KEPT: usize = 64;
 /// Encoder readings further from the image than this do not serve it, s.
 const NEAR: f64 = 0.1;
 /// Smallest uncertainty of the IMU's own roll and pitch, rad.
@@ -59,7 +53,7 @@ impl Visual {
 pub struct SingleImagePose {
     rig: Rig,
     camera: Option<CameraModel>,
-    ups: VecDeque<(Stamp, Up)>,
+    ups: Ups,
     climber: ClimberTrack,
     /// `world_from_volant` of the newest visual pose.
     last: Option<(Stamp, Isometry3<f64>)>,
@@ -72,7 +66,7 @@ impl SingleImagePose {
         Self {
             rig,
             camera: None,
-            ups: VecDeque::with_capacity(KEPT),
+            ups: Ups::default(),
             climber: ClimberTrack::new(&config.tight.climber),
             last: None,
             config: config.clone(),
@@ -81,7 +75,7 @@ impl SingleImagePose {
 
     /// Discards everything but the camera.
     pub fn reset(&mut self) {
-        self.ups.clear();
+        self.ups = Ups::default();
         self.climber = ClimberTrack::new(&self.config.tight.climber);
         self.last = None;
     }
@@ -89,23 +83,16 @@ impl SingleImagePose {
     /// Takes in one input; of an image returns the pose.
     pub fn handle(&mut self, input: &Sample) -> Option<Visual> {
         match input {
-            Sample::Imu(sample) => self.imu(sample),
+            Sample::Imu(sample) => {
+                if self.config.visual_use_gravity && self.config.model == Model::Tight {
+                    self.ups.add(sample, ATTITUDE_FLOOR);
+                }
+            }
             Sample::Markers(markers) => return self.estimate(markers),
             Sample::Climber(sample) => self.climber(sample),
             Sample::Camera(camera) => self.camera = Some(camera.clone()),
         }
         None
-    }
-
-    /// Takes in an IMU sample, for its attitude.
-    fn imu(&mut self, sample: &ImuSample) {
-        let used = self.config.visual_use_gravity && self.config.model == Model::Tight;
-        if let Some(up) = up_of(sample, ATTITUDE_FLOOR).filter(|_| used) {
-            if self.ups.len() == KEPT {
-                self.ups.pop_front();
-            }
-            self.ups.push_back((sample.stamp, up));
-        }
     }
 
     /// Takes in an encoder reading.
@@ -142,7 +129,7 @@ impl SingleImagePose {
         } else {
             let mut found = planar_pose::candidates(&self.rig.markers, camera, &pixels, None);
             found.retain(within);
-            let up = nearest(&self.ups, stamp.plus_seconds(self.config.tight.clock.camera_offset));
+            let up = self.ups.at(stamp.plus_seconds(self.config.tight.clock.camera_offset));
             let cost = |c: &PlanarPose| {
                 let rotation = (world_from_camera * c.camera_from_volant).rotation;
                 let unlikely = match (up, last) {
@@ -184,9 +171,7 @@ impl SingleImagePose {
     /// Pixels of the markers that serve a pose, with covariances; `None` with fewer than three.
     fn pixels(&self, observations: &MarkerObservations) -> Option<MarkerPixels> {
         let count = |state: MarkerState| {
-            let usable = |m: &&MarkerObservation| {
-                m.state == state && m.centroid.iter().all(|x| x.is_finite())
-            };
+            let usable = |m: &&MarkerObservation| m.state == state && is_usable(m);
             observations.markers.0.iter().filter(usable).count()
         };
         if count(MarkerState::Detected) < 3 {
@@ -200,8 +185,7 @@ impl SingleImagePose {
             let m = &observations.markers[color];
             let take = m.state == MarkerState::Detected
                 || (with_predicted && m.state == MarkerState::Predicted);
-            let fine = m.centroid.iter().chain(m.covariance.iter()).all(|x| x.is_finite());
-            (take && fine).then(|| (m.centroid, m.covariance + floor))
+            (take && is_usable(m)).then(|| (m.centroid, m.covariance + floor))
         }))
     }
 

@@ -40,6 +40,8 @@ pub enum Event {
         stamp: Stamp,
         /// Not processed yet: its record is still to be published.
         fresh: bool,
+        /// Its markers correct the state; those of a frozen filter are only compared.
+        apply: bool,
     },
     /// Encoder reading.
     Encoders {

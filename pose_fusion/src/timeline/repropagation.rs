@@ -35,8 +35,6 @@ pub struct Context<'a> {
     pub noise_of_changes: Densities,
     /// Mean time between IMU samples, s.
     pub imu_period: f64,
-    /// Markers are compared and not used.
-    pub frozen: bool,
 }
 
 /// What became of the event that a step processed.
@@ -138,8 +136,8 @@ fn apply(
             }
             Step::Inertial
         }
-        Event::Image { image, .. } => {
-            let (gate, geometry, apply) = (config.markers.gate, context.geometry, !context.frozen);
+        Event::Image { image, apply, .. } => {
+            let (gate, geometry, apply) = (config.markers.gate, context.geometry, *apply);
             let record = markers::update(state, geometry, image, reading, gate, gravity, apply);
             if apply && record.used > 0 {
                 *still_unseen = 0.0;

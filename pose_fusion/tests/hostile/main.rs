@@ -342,3 +342,26 @@ fn no_start_is_reported_as_lost() {
         }
     }
 }
+
+/// Before, a copy was another sample where a reading lay at its instant.
+#[test]
+fn a_repeated_sample_is_a_copy_also_beside_a_reading_of_its_instant() {
+    let mut inputs: Vec<Input> = Vec::new();
+    let mut newest = None;
+    for mut input in recording().inputs() {
+        match &mut input {
+            Input::Imu(sample) => newest = Some(*sample),
+            Input::Climber(reading) => {
+                let Some(sample) = newest.take() else { continue };
+                reading.stamp = sample.stamp;
+                inputs.extend([input, Input::Imu(sample)]);
+                continue;
+            }
+            _ => {}
+        }
+        inputs.push(input);
+    }
+    let (fusion, _) = scoring::follow(FusionConfig::default(), inputs);
+    let counts = fusion.status().counts.inputs;
+    assert!(counts.duplicates > 100 && counts.late_imu == 0, "{counts:?}");
+}

@@ -188,3 +188,47 @@ fn a_frozen_filter_ignores_markers_and_a_reset_reinitializes() {
     let score = scoring::score(&outputs.odometry, &run.truth, 0.0);
     assert!(fusion.status().initialized && score.position_max() < 50.0, "{score}");
 }
+
+/// Before, images that a frozen filter compared were used where a late reading was processed after
+/// it had been unfrozen, and the ones before them were taken back while it was frozen.
+#[test]
+fn what_a_frozen_filter_compared_is_not_used_later() {
+    let sensors = SensorConfig::nominal(1);
+    let run = simulated::run(MotionConfig { duration: 8.0, ..MotionConfig::nominal(1) }, &sensors);
+    let (before, after) = cut(&run, &sensors, 5.0);
+    let mut fusion = fusion();
+    scoring::run(&mut fusion, before);
+    let used = fusion.status().position_sigma;
+    fusion.freeze(true).unwrap();
+    let (while_frozen, rest) = after.split_at(after.len() / 3);
+    let is_reading = |input: &Input| matches!(input, Input::Climber(_));
+    let late = while_frozen.iter().rfind(|input| is_reading(input)).cloned();
+    let in_time = while_frozen.iter().filter(|input| Some(*input) != late.as_ref());
+    scoring::run(&mut fusion, in_time.cloned());
+    let frozen = fusion.status().position_sigma;
+    assert!(frozen > 5.0 * used, "{used} {frozen}");
+    fusion.freeze(false).unwrap();
+    scoring::run(&mut fusion, late);
+    let unfrozen = fusion.status().position_sigma;
+    assert!(unfrozen > 0.99 * frozen, "{frozen} {unfrozen}");
+    let outputs = scoring::run(&mut fusion, rest.to_vec());
+    let score = scoring::score(&outputs.odometry, &run.truth, 0.0);
+    assert!(fusion.status().position_sigma < 2.0 * used && score.position_max() < 50.0, "{score}");
+}
+
+/// Before, it dropped the pose, which no image could initialize again.
+#[test]
+fn a_frozen_filter_keeps_its_pose_where_all_messages_stall() {
+    let sensors = SensorConfig::nominal(1);
+    let run = simulated::run(MotionConfig { duration: 8.0, ..MotionConfig::nominal(1) }, &sensors);
+    let (before, after) = cut(&run, &sensors, 5.0);
+    let mut fusion = fusion();
+    scoring::run(&mut fusion, before);
+    fusion.freeze(true).unwrap();
+    let late = sensors.epoch.plus_seconds(5.6);
+    let after = after.into_iter().filter_map(|mut input| {
+        simulated::stamp_of(&mut input).is_some_and(|at| *at > late).then_some(input)
+    });
+    let outputs = scoring::run(&mut fusion, after);
+    assert!(fusion.status().initialized && outputs.odometry.len() > 200);
+}
