@@ -17,7 +17,7 @@ use volant_test::{
 };
 
 /// Faults of the short form; `make checks` has all of them, on recordings too.
-const KINDS: [&str; 13] = [
+const KINDS: [&str; 15] = [
     "camera tilt 2°",
     "camera yaw 180°",
     "focal length +20 %",
@@ -28,6 +28,8 @@ const KINDS: [&str; 13] = [
     "accelerometer negated",
     "gyroscope in deg/s",
     "encoders x and y exchanged",
+    "rails in mm",
+    "turn in degrees",
     "turn reversed",
     "encoder stamps + 0.2 s",
     "two climbers on one topic",

@@ -1,4 +1,5 @@
-//! Encoders: exchanged or reversed rails, a reversed turn, and a camera turned by a right angle.
+//! Encoders: exchanged or reversed rails, rails in millimeters, a reversed turn, and a camera turned
+//! by a right angle.
 //!
 //! The adjustment with a free matrix between rail readings and world axes is nearly linear: it
 //! converges from the identity to any exchange or reversal.
@@ -24,6 +25,8 @@ const WIDE: f64 = 2.0;
 const KNOWN: f64 = 0.25;
 /// Largest distance of an entry from 0 or ±1.
 const NEAR: f64 = 0.4;
+/// Scale of the rails below which they are not in meters.
+const OTHER_UNIT: f64 = 0.2;
 /// Standard deviation of the climber's clock, s.
 const CLOCK: f64 = 0.3;
 
@@ -33,6 +36,20 @@ pub(crate) fn examine(
     recording: &Recording,
 ) -> Result<bool, CalibrationError> {
     let Some(first) = Solved::of(state, recording)? else { return Ok(false) };
+    let scale = first.parameters.rails.determinant().abs().sqrt();
+    if first.known(RAILS.start) && first.known(RAILS.start + 3) && scale < OTHER_UNIT {
+        let finding = Finding::wrong(
+            "climber.rail.unit",
+            format!(
+                "the rails' readings are not in meters: the climber drives {scale:.2e} of what \
+                 they report"
+            ),
+            "multiply `scale.rail_x` and `scale.rail_y` of climber_driver by it, or let the \
+             encoders' driver publish m (sensor_msgs/JointState, REP-103); then check again",
+        );
+        state.findings.push(Finding { blocks: true, ..finding });
+        return Ok(false);
+    }
     // A large turn is not linear: with the wrong sign the adjustment may end beside the solution.
     let mut reversed = first.known(TURN_SCALE) && (first.parameters.turn_scale + 1.0).abs() < NEAR;
     if !reversed && first.misfit > MISFIT {

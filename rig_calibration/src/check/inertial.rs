@@ -1,9 +1,9 @@
 //! Units and noise of the IMU.
 
 use super::{Corrected, findings::Finding};
-use crate::{median::median, problem::GRAVITY, recording::Recording};
+use crate::{problem::GRAVITY, recording::Recording};
 use nalgebra::Vector3;
-use rig_model::topics;
+use rig_model::{median, topics};
 
 /// Relative deviation of its median that motion and bias explain.
 const TOLERANCE: f64 = 0.15;

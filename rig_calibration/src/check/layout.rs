@@ -4,12 +4,12 @@
 use super::{Corrected, Track, findings::Finding};
 use crate::{
     CalibrationError,
-    median::median,
     recording::{Recording, all_detected},
 };
 use nalgebra::{Matrix2, Quaternion, UnitQuaternion, Vector2, Vector3};
 use rig_model::{
-    CameraModel, MarkerColor, MarkerLayout, MarkerObservations, MarkerState, PerColor, planar_pose,
+    CameraModel, MarkerColor, MarkerLayout, MarkerObservations, MarkerState, PerColor, median,
+    planar_pose,
 };
 
 /// Largest distance of a marker from the layout's center, and of a sensor from its frame, m: a
@@ -270,14 +270,8 @@ fn candidates(file: &MarkerLayout) -> Vec<Candidate> {
 
 /// All orders of four markers, the unchanged one first.
 fn permutations() -> Vec<[usize; 4]> {
-    let mut list = vec![];
-    for i in 0..256usize {
-        let order = [i >> 6 & 3, i >> 4 & 3, i >> 2 & 3, i & 3];
-        if (0..4).all(|k| order.contains(&k)) {
-            list.push(order);
-        }
-    }
-    list
+    let orders = (0..256).map(|i: usize| [i >> 6 & 3, i >> 4 & 3, i >> 2 & 3, i & 3]);
+    orders.filter(|order| (0..4).all(|k| order.contains(&k))).collect()
 }
 
 fn exchanged(order: &[usize; 4]) -> (String, String) {

@@ -49,6 +49,17 @@ pub(crate) struct Corrected {
     pub findings: Vec<Finding>,
 }
 
+impl Corrected {
+    /// The report where a finding forbids to go on.
+    fn blocked(&mut self) -> Option<Report> {
+        self.findings.iter().any(|f| f.blocks).then(|| self.without_rows())
+    }
+
+    fn without_rows(&mut self) -> Report {
+        Report { findings: std::mem::take(&mut self.findings), ..Report::default() }
+    }
+}
+
 /// Checks a rig's files against a recording.
 ///
 /// `samples.markers` are those tracked with the rig's layout, or those of the recording; `track`
@@ -71,8 +82,8 @@ pub fn check(
         imu_clock: 0.0,
         findings: stamps::examine(samples),
     };
-    if state.findings.iter().any(|f| f.blocks) {
-        return Ok(Report { findings: state.findings, ..Report::default() });
+    if let Some(report) = state.blocked() {
+        return Ok(report);
     }
     state.samples.repair();
     for sample in &mut state.samples.climber {
@@ -81,10 +92,14 @@ pub fn check(
     inertial::examine_units(&mut state);
     layout::examine_places(&mut state);
     layout::examine(&mut state, track)?;
-    if state.findings.iter().any(|f| f.blocks) {
-        return Ok(Report { findings: state.findings, ..Report::default() });
+    if let Some(report) = state.blocked() {
+        return Ok(report);
     }
     let recording = Recording::new(&state.samples)?;
+    rates::examine_turn(&mut state, &recording);
+    if let Some(report) = state.blocked() {
+        return Ok(report);
+    }
     layout::examine_view(&mut state, &recording);
     rates::examine(&mut state, &recording);
     let mut recording = Recording::new(&state.samples)?;
@@ -97,6 +112,9 @@ pub fn check(
         recording = Recording::new(&state.samples)?;
         recording.keep_liveliest();
     }
+    if let Some(report) = state.blocked() {
+        return Ok(report);
+    }
     let mut file = Parameters::new(rig, &recording);
     let start = Parameters::new(&state.rig, &recording);
     let states = first_states(&recording, &start)?;
@@ -105,7 +123,7 @@ pub fn check(
         select::Explained::By(outcome) => outcome,
         select::Explained::Deaf(axes) => {
             state.findings.extend(axes.into_iter().map(findings::deaf));
-            return Ok(Report { findings: state.findings, ..Report::default() });
+            return Ok(state.without_rows());
         }
     };
     let change: DVector<f64> = outcome.parameters.minus(&file);

@@ -1,5 +1,5 @@
 //! Angular rates of the images against those of the gyroscope: time offset, rotation and unit of
-//! the IMU, without knowledge of its mounting.
+//! the IMU, without knowledge of its mounting, and the unit of the climber's turn.
 
 use super::{
     Corrected,
@@ -30,6 +30,10 @@ const GROSS_TURN: f64 = 0.35;
 const SNAP: f64 = 0.3;
 /// Rate in deg/s over rad/s, and how far from it a ratio may be.
 const DEGREES: f64 = 57.295_78;
+/// Range of the climber's turn from which its unit is examined, rad, and by how much more the rates
+/// correlate where it is in degrees.
+const FAR_TURN: f64 = 1.0;
+const CLEARLY: f64 = 0.1;
 
 /// Rates at one lag.
 struct Aligned {
@@ -41,9 +45,37 @@ struct Aligned {
     ratio: f64,
 }
 
+/// Names a climber whose turn is in degrees: its readings turn the images' rates, which then do not
+/// correlate with the gyroscope's.
+pub(crate) fn examine_turn(state: &mut Corrected, recording: &Recording) {
+    let turns = || recording.climber.iter().map(|c| c.2);
+    let range = turns().fold(f64::MIN, f64::max) - turns().fold(f64::MAX, f64::min);
+    if range < FAR_TURN {
+        return;
+    }
+    let integral = integral(recording);
+    let score = |unit: f64| {
+        let rates = visual_rates(state, recording, unit);
+        let at = |lag: f64| align(&rates, &integral, lag);
+        let found = SEARCHES.iter().find_map(|search| best_lag(&at, *search));
+        found.map_or(0.0, |(_, best, _)| best.score)
+    };
+    if score(1.0 / DEGREES) > score(1.0) + CLEARLY {
+        let finding = Finding::wrong(
+            "climber.turn.unit",
+            "the joint `turn` is in degrees: with radians the images' rates contradict the \
+             gyroscope's",
+            "multiply `scale.turn` of climber_driver by 0.0174533 (π/180), or let the encoder's \
+             driver publish rad (sensor_msgs/JointState, REP-103); then check again",
+        );
+        // The heading is known but for multiples of 6.28°.
+        state.findings.push(Finding { blocks: true, ..finding });
+    }
+}
+
 /// Examines time offset, unit and rotation, and corrects samples and rig.
 pub(crate) fn examine(state: &mut Corrected, recording: &Recording) {
-    let rates = visual_rates(state, recording);
+    let rates = visual_rates(state, recording, 1.0);
     let integral = integral(recording);
     if rates.len() < 30 {
         return;
@@ -178,8 +210,12 @@ fn rotation(state: &mut Corrected, measured: &UnitQuaternion<f64>, certain: bool
 }
 
 /// Mean angular velocities of the platform over [`SPAN`]: times of both ends, and the rate in
-/// volant axes.
-fn visual_rates(state: &Corrected, recording: &Recording) -> Vec<(f64, f64, Vector3<f64>)> {
+/// volant axes. `turn_unit`: unit of the climber's turn, rad.
+fn visual_rates(
+    state: &Corrected,
+    recording: &Recording,
+    turn_unit: f64,
+) -> Vec<(f64, f64, Vector3<f64>)> {
     let rig = &state.rig;
     let up = rig.climber_from_camera.rotation.inverse() * Vector3::z();
     let tilt = planar_pose::TiltPrior { up_in_volant: Vector3::z(), up_in_camera: up, sigma: TILT };
@@ -191,7 +227,7 @@ fn visual_rates(state: &Corrected, recording: &Recording) -> Vec<(f64, f64, Vect
             let measured = PerColor(shot.pixels.map(|pixel| Some((pixel, covariance))));
             let found =
                 planar_pose::candidates(&rig.markers, &recording.camera, &measured, Some(&tilt));
-            let turn = recording.climber_at(shot.time).1;
+            let turn = recording.climber_at(shot.time).1 * turn_unit;
             let climber = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn);
             let camera = climber * rig.climber_from_camera.rotation;
             Some((shot.time, camera * found.first()?.camera_from_volant))
@@ -211,15 +247,10 @@ fn visual_rates(state: &Corrected, recording: &Recording) -> Vec<(f64, f64, Vect
 
 /// Integral of the gyroscope's rates: times and angles.
 fn integral(recording: &Recording) -> Vec<(f64, Vector3<f64>)> {
-    let mut sum = Vector3::zeros();
-    let mut list = Vec::with_capacity(recording.imu.len());
-    let mut before: Option<(f64, Vector3<f64>)> = None;
-    for (time, _, rate) in &recording.imu {
-        if let Some((last, old)) = before {
-            sum += (rate + old) * (0.5 * (time - last));
-        }
-        before = Some((*time, *rate));
-        list.push((*time, sum));
+    let mut list = vec![(recording.imu[0].0, Vector3::<f64>::zeros())];
+    for w in recording.imu.windows(2) {
+        let step = (w[1].2 + w[0].2) * (0.5 * (w[1].0 - w[0].0));
+        list.push((w[1].0, list[list.len() - 1].1 + step));
     }
     list
 }

@@ -133,10 +133,8 @@ fn explain_files(
 ) -> Result<Outcome, CalibrationError> {
     let diverged = CalibrationError::Diverged;
     let lens = *work.start.camera.distortion();
-    let mut freed: Vec<Explanation> = moved
-        .map(|i| Explanation { cause: Cause::Marker(i), alternatives: vec![] })
-        .into_iter()
-        .collect();
+    let known = |i| Explanation { cause: Cause::Marker(i), alternatives: vec![] };
+    let mut freed: Vec<Explanation> = moved.map(known).into_iter().collect();
     let causes = |freed: &[Explanation]| freed.iter().map(|e| e.cause).collect::<Vec<_>>();
     work.priors = priors(&lens, &causes(&freed), false);
     work.solve()?;

@@ -1,9 +1,9 @@
 //! Stamps: two publishers on one topic, clocks that jump, and clocks without a common time.
 
 use super::findings::{Finding, Verdict};
-use crate::{Samples, median::median};
+use crate::Samples;
 use nalgebra::Vector3;
-use rig_model::{Stamp, topics};
+use rig_model::{Stamp, median, topics};
 
 /// Share of repeated or backward stamps above which a topic has two publishers; a network reorders
 /// less.

@@ -3,10 +3,10 @@ use super::{
     *,
 };
 use nalgebra::Vector2;
-use rig_model::{Distortion, ImuSample, Stamp};
+use rig_model::{Distortion, ImuSample, Sample, Stamp};
 use rig_simulator::{
     RIG_YAML,
-    inertial::{Message, SensorConfig, Sensors},
+    inertial::{SensorConfig, Sensors},
     motion::{Motion, MotionConfig},
     random::Random,
 };
@@ -23,13 +23,14 @@ fn recorded() -> (Samples, Rig) {
     let rig = Rig::from_yaml(RIG_YAML).unwrap();
     let lens = Distortion::PlumbBob([-0.23, 0.082, 7e-4, -4e-4, -0.006]);
     let camera = CameraModel::new(640, 480, [591.3, 589.7, 319.3, 235.2], lens).unwrap();
-    let messages = Sensors::new(&motion, &rig, &camera, &SensorConfig::nominal(1)).record();
+    let recorded = Sensors::new(&motion, &rig, &camera, &SensorConfig::nominal(1)).record();
     let mut samples = Samples { camera, markers: vec![], imu: vec![], climber: vec![] };
-    for (_, message) in messages {
-        match message {
-            Message::Imu(s) => samples.imu.push(s),
-            Message::Markers(s) => samples.markers.push(s),
-            Message::Climber(s) => samples.climber.push(s),
+    for (_, sample) in recorded {
+        match sample {
+            Sample::Imu(s) => samples.imu.push(s),
+            Sample::Markers(s) => samples.markers.push(s),
+            Sample::Climber(s) => samples.climber.push(s),
+            Sample::Camera(_) => {}
         }
     }
     (samples, rig)

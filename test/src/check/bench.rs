@@ -82,7 +82,7 @@ impl Bench {
         let recorded = scenario.simulated_sensors().record();
         let start = scenario.sensors.epoch;
         let mut inputs: Vec<(Stamp, Input)> = vec![(start, Input::Camera(camera))];
-        inputs.extend(recorded.into_iter().map(|(at, message)| (at, message.into())));
+        inputs.extend(recorded);
         let truth = Truth::new(vec![TruthSample {
             stamp: start,
             world_from_volant: scenario.motion.world_from_volant(0.0),

@@ -151,6 +151,12 @@ pub const FAULTS: &[Fault] = &[
     ),
     or(fault("height + 0.5 m", |r| each_climber(r, |p, _| p.z += 0.5), HEIGHT), HEIGHT),
     or(fault("height 0", |r| each_climber(r, |p, _| p.z = 0.0), HEIGHT), HEIGHT),
+    fault(
+        "rails in mm",
+        |r| each_climber(r, |p, _| *p = Vector3::new(1e3 * p.x, 1e3 * p.y, p.z)),
+        &["climber.rail.unit"],
+    ),
+    or(fault("turn in degrees", |r| each_climber(r, |_, t| *t = t.to_degrees()), TURN), TURN),
     or(fault("turn reversed", |r| each_climber(r, |_, t| *t = -*t), TURN), TURN),
     or(
         fault("turn + 10°", |r| each_climber(r, |_, t| *t += 10f64.to_radians()), CAMERA),
