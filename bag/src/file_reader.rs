@@ -268,12 +268,12 @@ fn expand(chunk: &Chunk<'_>) -> (Vec<u8>, Result<(), String>) {
 }
 
 /// The error of an operation on the file at `path`.
-pub(crate) fn io_error(path: &Path, source: io::Error) -> BagError {
-    if source.kind() == io::ErrorKind::NotFound {
+pub(crate) fn io_error(path: &Path, error: io::Error) -> BagError {
+    if error.kind() == io::ErrorKind::NotFound {
         let reason = "no such file or folder; give an .mcap file or a rosbag2 folder";
         BagError::unusable(path, reason)
     } else {
-        BagError::Io { path: path.to_owned(), source }
+        BagError::Io { path: path.to_owned(), error }
     }
 }
 

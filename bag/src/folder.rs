@@ -164,7 +164,7 @@ pub(crate) fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
         Err(e) if e.kind() == ErrorKind::NotFound => {
             return Err(broken("is missing, so this folder is not a rosbag2 bag".into()));
         }
-        Err(source) => return Err(BagError::Io { path: yaml.clone(), source }),
+        Err(error) => return Err(BagError::Io { path: yaml.clone(), error }),
     };
     let folder = Folder::parse(&text).map_err(&broken)?;
     if let Some(what) = not_ours(&folder) {

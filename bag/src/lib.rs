@@ -78,13 +78,13 @@ pub struct BagMessage {
 #[derive(Debug, Error)]
 pub enum BagError {
     /// An operation of the operating system failed.
-    #[error("{}: {source}; check the path, its permissions and the space on the \
+    #[error("{}: {error}; check the path, its permissions and the space on the \
              disk", path.display())]
     Io {
         /// Which file.
         path: PathBuf,
-        /// Its reason.
-        source: std::io::Error,
+        /// Its reason. The message has it, so it is no `source`: `{:#}` would repeat it.
+        error: std::io::Error,
     },
     /// A missing, empty or foreign file, a folder without a valid `metadata.yaml`, or a file that
     /// violates MCAP where nothing can be skipped.

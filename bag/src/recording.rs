@@ -7,7 +7,7 @@ use crate::{BagError, BagMessage, BagReader};
 use nalgebra::{Matrix2, Vector2, Vector3};
 use node_kit::convert::{self, ConvertError};
 use rig_model::{
-    MarkerObservation, MarkerObservations, MarkerState, PerColor, Rig, Sample, Stamp,
+    MarkerObservation, MarkerObservations, PerColor, Rig, Sample, Stamp,
     score::{Truth, TruthSample},
     topics::absolute as topics,
 };
@@ -91,12 +91,10 @@ pub fn map_messages<M: Message, T>(
 ) -> Result<Vec<T>, BagError> {
     let mut mapped = vec![];
     for_each(path, topic, |message| {
-        let wrong =
-            |e: cdr::CdrError| BagError::unusable(path, format!("a message on {topic}: {e}"));
-        mapped.push(map(message.log_time, cdr::from_bytes(&message.data).map_err(wrong)?));
-        Ok(())
+        mapped.push(cdr::from_bytes(&message.data).map(|decoded| map(message.log_time, decoded)));
     })?;
-    Ok(mapped)
+    let mapped: Result<_, cdr::CdrError> = mapped.into_iter().collect();
+    mapped.map_err(|e| BagError::unusable(path, format!("a message on {topic}: {e}")))
 }
 
 /// Reads the decodable messages on a topic; what the bag lost, and the number of the other
@@ -111,12 +109,9 @@ pub fn read_messages<M: Message, T>(
     mut map: impl FnMut(u64, M) -> T,
 ) -> Result<Vec<T>, BagError> {
     let (mut mapped, mut undecodable) = (vec![], vec![]);
-    let lost = for_each(path, topic, |message| {
-        match cdr::from_bytes(&message.data) {
-            Ok(decoded) => mapped.push(map(message.log_time, decoded)),
-            Err(error) => undecodable.push(error),
-        }
-        Ok(())
+    let lost = for_each(path, topic, |message| match cdr::from_bytes(&message.data) {
+        Ok(decoded) => mapped.push(map(message.log_time, decoded)),
+        Err(error) => undecodable.push(error),
     })?;
     losses.extend(lost);
     if let Some(first) = undecodable.first() {
@@ -131,12 +126,12 @@ pub fn read_messages<M: Message, T>(
 fn for_each(
     path: &Path,
     topic: &str,
-    mut take: impl FnMut(BagMessage) -> Result<(), BagError>,
+    mut take: impl FnMut(BagMessage),
 ) -> Result<Vec<String>, BagError> {
     let mut bag = BagReader::open(path)?;
     while let Some(message) = bag.next_message()? {
         if message.topic.name == topic {
-            take(message)?;
+            take(message);
         }
     }
     Ok(bag.losses().to_vec())
@@ -183,13 +178,8 @@ pub fn true_centroids(
             if shown.is_nan() || shown < 0.99 {
                 return MarkerObservation::lost(1);
             }
-            MarkerObservation {
-                state: MarkerState::Detected,
-                occluded_frames: 0,
-                centroid: Vector2::new(of("cx"), of("cy")) + noise,
-                covariance: Matrix2::identity() * sigma * sigma,
-                area: 1000.0,
-            }
+            let centroid = Vector2::new(of("cx"), of("cy")) + noise;
+            MarkerObservation::detected(centroid, Matrix2::identity() * sigma * sigma, 1000.0)
         });
         images.insert(stamp, MarkerObservations { stamp, markers });
     }
@@ -206,10 +196,10 @@ pub fn read_truth(path: &Path, topic: &str, losses: &mut Vec<String>) -> Result<
     let mut samples = vec![];
     let lost = for_each(path, topic, |message| {
         if message.topic.type_name != Odometry::TYPE_NAME {
-            return Ok(());
+            return;
         }
-        let Ok(m) = cdr::from_bytes::<Odometry>(&message.data) else { return Ok(()) };
-        let Ok(pose) = convert::pose(&m.pose.pose, "odometry") else { return Ok(()) };
+        let Ok(m) = cdr::from_bytes::<Odometry>(&message.data) else { return };
+        let Ok(pose) = convert::pose(&m.pose.pose, "odometry") else { return };
         let (v, w) = (&m.twist.twist.linear, &m.twist.twist.angular);
         samples.push(TruthSample {
             stamp: convert::stamp(&m.header.stamp),
@@ -217,7 +207,6 @@ pub fn read_truth(path: &Path, topic: &str, losses: &mut Vec<String>) -> Result<
             linear_velocity: Vector3::new(v.x, v.y, v.z),
             angular_velocity: Vector3::new(w.x, w.y, w.z),
         });
-        Ok(())
     })?;
     losses.extend(lost);
     Ok(Truth::new(samples))

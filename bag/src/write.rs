@@ -118,7 +118,7 @@ impl BagWriter {
             }
             let folder = bag.pending.as_ref().map_or(path, |pending| &pending.temporary);
             fs::create_dir_all(folder)
-                .map_err(|source| BagError::Io { path: path.to_owned(), source })?;
+                .map_err(|error| BagError::Io { path: path.to_owned(), error })?;
             bag.folder = Some(folder.to_owned());
         }
         bag.begin_file()?;
@@ -274,7 +274,7 @@ impl BagWriter {
             // First the list without them, so that a reader never misses a file.
             self.write_metadata()?;
             for path in removed {
-                fs::remove_file(&path).map_err(|source| BagError::Io { path, source })?;
+                fs::remove_file(&path).map_err(|error| BagError::Io { path, error })?;
             }
         }
         Ok(())
@@ -336,7 +336,7 @@ impl BagWriter {
         let yaml = metadata::to_yaml(&self.files, self.counted(&self.files));
         let (new, path) = (folder.join(".metadata.yaml.new"), folder.join("metadata.yaml"));
         let done = |result: io::Result<()>| {
-            result.map_err(|source| BagError::Io { path: path.clone(), source })
+            result.map_err(|error| BagError::Io { path: path.clone(), error })
         };
         done(fs::write(&new, yaml))?;
         done(fs::rename(&new, &path))

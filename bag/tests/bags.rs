@@ -363,3 +363,13 @@ fn only_the_newest_files_are_kept_and_counted() {
     assert_eq!(names(&path), ["kept_2.mcap", "kept_3.mcap", "metadata.yaml"]);
     assert_eq!(fs::read_to_string(foreign).unwrap(), "foreign");
 }
+
+/// Its message has the reason, which a `source` would print twice (`{:#}` of `anyhow`).
+#[test]
+fn an_error_of_the_system_has_no_source() {
+    let dir = TempDir::new().unwrap();
+    fs::create_dir(dir.path().join("metadata.yaml")).unwrap();
+    let error = BagReader::open(dir.path()).unwrap_err();
+    assert!(matches!(error, BagError::Io { .. }), "{error}");
+    assert!(std::error::Error::source(&error).is_none(), "{error}");
+}

@@ -5,22 +5,11 @@ use crate::{
     rejection::Warning,
 };
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use rig_model::{ClimberSample, Stamp, wrap_angle};
+use rig_model::{ClimberSample, JointReading, Stamp, wrap_angle};
 use std::{
     collections::{BTreeMap, VecDeque},
     f64::consts::{SQRT_2, TAU},
 };
-
-/// Joint positions at one instant: `sensor_msgs/JointState` without velocity and effort.
-#[derive(Clone, Debug, PartialEq)]
-pub struct JointReading {
-    /// Time of the encoder sample.
-    pub stamp: Stamp,
-    /// Joint names; joints that are not configured are ignored.
-    pub names: Vec<String>,
-    /// Encoder readings in the order of `names`, in units of the joint.
-    pub positions: Vec<f64>,
-}
 
 /// Output of the core.
 #[derive(Clone, Debug, PartialEq)]
@@ -59,7 +48,7 @@ struct Candidate {
 }
 
 /// Converts encoder readings into the pose of the climber and rejects implausible ones.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Climber {
     config: ClimberConfig,
     last: Option<Accepted>,
@@ -93,16 +82,7 @@ impl Climber {
     /// [`ConfigError`] if a value is invalid.
     pub fn new(config: ClimberConfig) -> Result<Self, ConfigError> {
         config.validate()?;
-        Ok(Self {
-            config,
-            last: None,
-            last_received: None,
-            last_accepted_at: None,
-            candidate: None,
-            interval: None,
-            counts: Counts::default(),
-            outputs: VecDeque::new(),
-        })
+        Ok(Self { config, ..Self::default() })
     }
 
     /// Replaces the configuration and keeps the state, except for positions in another calibration.
@@ -120,7 +100,8 @@ impl Climber {
         Ok(())
     }
 
-    /// Processes one reading that was received at `received` (the receiver's clock).
+    /// Processes one reading that was received at `received` (the receiver's clock). Joints that
+    /// are not configured are ignored.
     pub fn handle(&mut self, reading: &JointReading, received: Stamp) {
         if let Some(previous) = self.last_received {
             let back = previous.seconds_since(received);

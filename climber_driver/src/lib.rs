@@ -1,8 +1,8 @@
 //! Encoder readings of the climber → transform `world_from_climber`.
 //!
-//! [`Climber`] is the core: [`Climber::handle`] receives a [`JointReading`] and the time of its
-//! receipt; [`Climber::poll`] returns a [`rig_model::ClimberSample`] or a [`Warning`]. It uses no
-//! clock and no middleware.
+//! [`Climber`] is the core: [`Climber::handle`] receives a [`rig_model::JointReading`] and the
+//! time of its receipt; [`Climber::poll`] returns a [`rig_model::ClimberSample`] or a [`Warning`].
+//! It uses no clock and no middleware.
 
 mod climber;
 mod config;
@@ -10,6 +10,6 @@ mod config;
 pub mod node;
 mod rejection;
 
-pub use climber::{Climber, Counts, JointReading, Output};
+pub use climber::{Climber, Counts, Output};
 pub use config::{Axis, ClimberConfig, ConfigError, JointCalibration};
 pub use rejection::Warning;

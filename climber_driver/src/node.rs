@@ -1,12 +1,12 @@
 //! ROS 2 node: `climber/joint_states` → `climber/transform`, `/tf`, `/tf_static`, `/diagnostics`.
 
-use crate::{Climber, ClimberConfig, JointCalibration, JointReading, Output, Warning};
+use crate::{Climber, ClimberConfig, JointCalibration, Output, Warning};
 use node_kit::{
     Level, convert,
     node::{Health, NodeContext, NodeError, NodeShell, Publisher},
     qos::QosPreset,
 };
-use rig_model::{Frames, Stamp, topics};
+use rig_model::{Frames, JointReading, Stamp, topics};
 use volant_msgs::{geometry_msgs::msg::TransformStamped, sensor_msgs::msg::JointState};
 
 node_kit::parameters! {
@@ -127,12 +127,7 @@ impl NodeShell for ClimberNode {
             topics::JOINT_STATES,
             QosPreset::State,
             move |message: std::sync::Arc<JointState>| {
-                let reading = JointReading {
-                    stamp: convert::stamp(&message.header.stamp),
-                    names: message.name.clone(),
-                    positions: message.position.clone(),
-                };
-                Some((reading, clock.now()))
+                Some((convert::joint_reading(&message), clock.now()))
             },
         )?;
         Ok(Self {

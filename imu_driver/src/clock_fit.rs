@@ -75,11 +75,6 @@ struct Settling {
 }
 
 impl Settling {
-    fn restart(&mut self) {
-        self.delays.clear();
-        self.settled = false;
-    }
-
     fn observe(&mut self, point: Point) {
         if self.settled {
             return;
@@ -139,14 +134,8 @@ impl ClockFit {
 
     /// Restarts the fit after a restart of the device or a new connection; stamps keep increasing.
     pub fn restart(&mut self) {
-        self.origin = None;
-        self.points.clear();
-        self.line = (0.0, 0.0);
-        self.limited = false;
-        self.applied = 0.0;
-        self.last_device = None;
-        self.suspicious = None;
-        self.settling.restart();
+        let Self { patience, last_stamp, last_arrival, .. } = *self;
+        *self = Self { last_stamp, last_arrival, ..Self::new(patience) };
     }
 
     /// Drift of the device's clock, s/s, positive if it is slow; `None` in the first seconds.

@@ -178,7 +178,7 @@ impl Runner {
     ) {
         let mut buffer = [0_u8; 4096];
         let mut status_at = now();
-        self.driver.handle(Input::Tick { at: now() });
+        self.driver.handle(Input::Tick, now());
         loop {
             while let Some(output) = self.driver.poll() {
                 let go_on = match output {
@@ -218,34 +218,31 @@ impl Runner {
             }
             let Some(open) = &mut self.opened else {
                 std::thread::sleep(READ_TIMEOUT);
-                self.driver.handle(Input::Tick { at: now() });
+                self.driver.handle(Input::Tick, now());
                 continue;
             };
             match open.tty.read(&mut buffer) {
                 Ok(n) if n > 0 => {
-                    let arrival = now();
-                    let arrival = match set_by() {
+                    let mut arrival = now();
+                    if let Some(by) = set_by() {
                         // The clock may have been set before or after `arrival` was read.
-                        Some(by) => {
-                            self.driver.handle(Input::ClockSet { by });
-                            now()
-                        }
-                        None => arrival,
-                    };
+                        self.driver.clock_set(by);
+                        arrival = now();
+                    }
                     let bytes = buffer.get(..n).unwrap_or_default();
                     if self.raw && !report(Report::Bytes(bytes.to_vec())) {
                         return;
                     }
-                    self.driver.handle(Input::Bytes { bytes, arrival });
+                    self.driver.handle(Input::Bytes(bytes), arrival);
                 }
                 Ok(_) => self.lost(now(), "adapter disconnected"),
                 Err(error)
                     if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted) =>
                 {
                     if let Some(by) = set_by() {
-                        self.driver.handle(Input::ClockSet { by });
+                        self.driver.clock_set(by);
                     }
-                    self.driver.handle(Input::Tick { at: now() });
+                    self.driver.handle(Input::Tick, now());
                 }
                 Err(error) => self.lost(now(), &error.to_string()),
             }
@@ -260,12 +257,11 @@ impl Runner {
                     match Port::open(&self.port, baud, two_stop_bits) {
                         Ok(port) => self.opened = Some(port),
                         Err(reason) => {
-                            let failed = Input::OpenFailed { at: now(), reason: &reason };
-                            return self.driver.handle(failed);
+                            return self.driver.handle(Input::OpenFailed(&reason), now());
                         }
                     }
                 }
-                return self.driver.handle(Input::Opened { at: now() });
+                return self.driver.handle(Input::Opened, now());
             }
             Output::Close => {
                 self.opened = None;
@@ -287,6 +283,6 @@ impl Runner {
     /// Closes the port after an error.
     fn lost(&mut self, at: Stamp, reason: &str) {
         self.opened = None;
-        self.driver.handle(Input::Lost { at, reason });
+        self.driver.handle(Input::Lost(reason), at);
     }
 }

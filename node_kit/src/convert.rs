@@ -13,8 +13,8 @@ use nalgebra::{
     Vector3,
 };
 use rig_model::{
-    ClimberSample, Frames, ImuSample, MarkerColor, MarkerObservation, MarkerObservations,
-    MarkerState, OrientationSample, PerColor, Rig, Stamp, topics,
+    ClimberSample, Frames, ImuSample, JointReading, MarkerColor, MarkerObservation,
+    MarkerObservations, MarkerState, OrientationSample, PerColor, Rig, Stamp, topics,
 };
 use thiserror::Error;
 use volant_msgs::{
@@ -186,6 +186,15 @@ pub fn imu_message(
         angular_velocity_covariance: diagonal(rate_variance),
         linear_acceleration: vector_message(&sample.specific_force),
         linear_acceleration_covariance: diagonal(force_variance),
+    }
+}
+
+/// Readings of the climber's encoders.
+pub fn joint_reading(message: &sensor::JointState) -> JointReading {
+    JointReading {
+        stamp: stamp(&message.header.stamp),
+        names: message.name.clone(),
+        positions: message.position.clone(),
     }
 }
 

@@ -104,19 +104,15 @@ impl Network {
                 wrong("ROS_DOMAIN_ID", value, "a number from 0 to 232 (UDP has no ports for more)")
             })?,
         };
-        let range =
-            match (get("ROS_LOCALHOST_ONLY").as_deref(), get("ROS_AUTOMATIC_DISCOVERY_RANGE")) {
-                (Some("1"), _) => DiscoveryRange::Localhost,
-                (_, None) => DiscoveryRange::default(),
-                (_, Some(value)) => match value.as_str() {
-                    "LOCALHOST" | "OFF" => DiscoveryRange::Localhost,
-                    "SUBNET" | "SYSTEM_DEFAULT" => DiscoveryRange::Subnet,
-                    _ => {
-                        let expected = "SUBNET, LOCALHOST, OFF or SYSTEM_DEFAULT";
-                        return Err(wrong("ROS_AUTOMATIC_DISCOVERY_RANGE", value, expected));
-                    }
-                },
-            };
+        let range = match get("ROS_AUTOMATIC_DISCOVERY_RANGE").as_deref() {
+            _ if get("ROS_LOCALHOST_ONLY").as_deref() == Some("1") => DiscoveryRange::Localhost,
+            Some("LOCALHOST" | "OFF") => DiscoveryRange::Localhost,
+            None | Some("SUBNET" | "SYSTEM_DEFAULT") => DiscoveryRange::Subnet,
+            Some(value) => {
+                let expected = "SUBNET, LOCALHOST, OFF or SYSTEM_DEFAULT";
+                return Err(wrong("ROS_AUTOMATIC_DISCOVERY_RANGE", value.to_owned(), expected));
+            }
+        };
         let services = match get("RMW_IMPLEMENTATION").as_deref() {
             Some("rmw_cyclonedds_cpp") => ServiceFlavour::Cyclone,
             _ => ServiceFlavour::Enhanced,

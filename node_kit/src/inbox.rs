@@ -7,7 +7,11 @@
 use crate::parameters::ParameterValue;
 use async_channel::Sender;
 use parking_lot::{Condvar, Mutex, MutexGuard};
-use std::{collections::VecDeque, sync::Arc, time::Instant};
+use std::{
+    collections::{BTreeMap, VecDeque},
+    sync::Arc,
+    time::Instant,
+};
 
 /// Entry of a node's inbox.
 pub(crate) enum Event<I> {
@@ -27,7 +31,7 @@ pub(crate) enum Control {
     Wake,
 }
 
-/// Index of a source in its inbox.
+/// Number of a source of an inbox.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct SourceId(usize);
 
@@ -68,14 +72,15 @@ pub struct SourceCount {
     pub latest: Option<Instant>,
     /// What it is.
     pub kind: SourceKind,
-    retired: bool,
     depth: usize,
     queued: usize,
 }
 
 struct State<I> {
     queue: VecDeque<(usize, Event<I>)>,
-    sources: Vec<SourceCount>,
+    sources: BTreeMap<usize, SourceCount>,
+    /// Number of the next source.
+    next: usize,
     closed: bool,
     accepting: bool,
 }
@@ -83,12 +88,9 @@ struct State<I> {
 impl<I> State<I> {
     /// Takes entries out of the queue by their source. They are dropped outside of the lock,
     /// because that may put in another one.
-    fn remove(
-        &mut self,
-        which: impl Fn(usize, &[SourceCount]) -> bool,
-    ) -> VecDeque<(usize, Event<I>)> {
+    fn remove(&mut self, which: impl Fn(usize) -> bool) -> VecDeque<(usize, Event<I>)> {
         let queue = std::mem::take(&mut self.queue);
-        let (gone, kept) = queue.into_iter().partition(|(s, _)| which(*s, &self.sources));
+        let (gone, kept) = queue.into_iter().partition(|(s, _)| which(*s));
         self.queue = kept;
         gone
     }
@@ -112,8 +114,13 @@ pub(crate) enum Taken<I> {
 
 impl<I> Inbox<I> {
     pub(crate) fn new() -> Arc<Self> {
-        let state =
-            State { queue: VecDeque::new(), sources: vec![], closed: false, accepting: true };
+        let state = State {
+            queue: VecDeque::new(),
+            sources: BTreeMap::new(),
+            next: 0,
+            closed: false,
+            accepting: true,
+        };
         Arc::new(Self { state: Mutex::new(state), ready: Condvar::new() })
     }
 
@@ -124,27 +131,31 @@ impl<I> Inbox<I> {
     /// Puts an entry in without waiting. `now` is the time of arrival.
     pub(crate) fn put(&self, SourceId(source): SourceId, entry: Event<I>, now: Instant) {
         let mut state = self.lock();
-        if state.closed || state.sources[source].retired {
-            return;
-        }
-        let accepting = state.accepting;
-        let count = &mut state.sources[source];
+        let State { queue, sources, accepting, closed, .. } = &mut *state;
+        let Some(count) = sources.get_mut(&source).filter(|_| !*closed) else { return };
         count.received += 1;
         count.latest = Some(now);
-        if !accepting && !count.kind.always_passes() {
+        if !*accepting && !count.kind.always_passes() {
             return;
         }
         if count.queued == count.depth {
             count.dropped += 1;
             count.queued -= 1;
-            if let Some(oldest) = state.queue.iter().position(|(s, _)| *s == source) {
-                state.queue.remove(oldest);
+            if let Some(oldest) = queue.iter().position(|(s, _)| *s == source) {
+                queue.remove(oldest);
             }
         }
-        state.sources[source].queued += 1;
-        state.queue.push_back((source, entry));
+        count.queued += 1;
+        queue.push_back((source, entry));
         drop(state);
         self.ready.notify_one();
+    }
+
+    /// Changes the counts of a source, unless it has been retired.
+    fn count(&self, SourceId(source): SourceId, change: impl FnOnce(&mut SourceCount)) {
+        if let Some(count) = self.lock().sources.get_mut(&source) {
+            change(count);
+        }
     }
 
     /// Returns whether the inbox has been closed.
@@ -160,7 +171,9 @@ impl<I> Inbox<I> {
                 return Taken::Closed;
             }
             if let Some((source, entry)) = state.queue.pop_front() {
-                state.sources[source].queued -= 1;
+                if let Some(count) = state.sources.get_mut(&source) {
+                    count.queued -= 1;
+                }
                 return Taken::Entry(entry);
             }
             if now() >= deadline {
@@ -196,7 +209,9 @@ pub(crate) trait Sources: Send + Sync {
 impl<I: Send + 'static> Sources for Inbox<I> {
     fn add_source(&self, name: &str, depth: usize, kind: SourceKind) -> SourceId {
         let mut state = self.lock();
-        state.sources.push(SourceCount {
+        let number = state.next;
+        state.next += 1;
+        let count = SourceCount {
             name: name.to_owned(),
             received: 0,
             dropped: 0,
@@ -204,36 +219,36 @@ impl<I: Send + 'static> Sources for Inbox<I> {
             lost: 0,
             latest: None,
             kind,
-            retired: false,
             depth: depth.max(1),
             queued: 0,
-        });
-        SourceId(state.sources.len() - 1)
+        };
+        state.sources.insert(number, count);
+        SourceId(number)
     }
 
     fn put_control(&self, source: SourceId, control: Control) {
         self.put(source, Event::Control(control), now());
     }
 
-    fn refuse(&self, SourceId(source): SourceId) {
-        self.lock().sources[source].refused += 1;
+    fn refuse(&self, source: SourceId) {
+        self.count(source, |count| count.refused += 1);
     }
 
-    fn touch(&self, SourceId(source): SourceId) {
-        let mut state = self.lock();
-        state.sources[source].received += 1;
-        state.sources[source].latest = Some(now());
+    fn touch(&self, source: SourceId) {
+        self.count(source, |count| {
+            count.received += 1;
+            count.latest = Some(now());
+        });
     }
 
-    fn lose(&self, SourceId(source): SourceId, count: u64) {
-        self.lock().sources[source].lost += count;
+    fn lose(&self, source: SourceId, lost: u64) {
+        self.count(source, |count| count.lost += lost);
     }
 
     fn retire(&self, SourceId(source): SourceId) {
         let mut state = self.lock();
-        state.sources[source].retired = true;
-        state.sources[source].queued = 0;
-        let gone = state.remove(|s, _| s == source);
+        state.sources.remove(&source);
+        let gone = state.remove(|s| s == source);
         drop(state);
         drop(gone);
     }
@@ -242,9 +257,14 @@ impl<I: Send + 'static> Sources for Inbox<I> {
         let mut state = self.lock();
         state.accepting = accepting;
         if !accepting {
-            let dropped = state.sources.iter_mut().filter(|s| !s.kind.always_passes());
-            dropped.for_each(|s| s.queued = 0);
-            let gone = state.remove(|s, sources| !sources[s].kind.always_passes());
+            let mut dropped = Vec::new();
+            for (number, count) in &mut state.sources {
+                if !count.kind.always_passes() {
+                    count.queued = 0;
+                    dropped.push(*number);
+                }
+            }
+            let gone = state.remove(|s| dropped.contains(&s));
             drop(state);
             drop(gone);
         }
@@ -252,8 +272,7 @@ impl<I: Send + 'static> Sources for Inbox<I> {
 
     fn counts(&self) -> Vec<SourceCount> {
         let state = self.lock();
-        let shown = |s: &&SourceCount| s.kind != SourceKind::Control && !s.retired;
-        state.sources.iter().filter(shown).cloned().collect()
+        state.sources.values().filter(|s| s.kind != SourceKind::Control).cloned().collect()
     }
 
     fn close(&self) {
@@ -309,6 +328,27 @@ mod tests {
         assert!(matches!(reader.join().unwrap(), Taken::Closed));
         inbox.put(source, Event::Input(1), now());
         assert_eq!(inbox.counts()[0].received, 0);
+    }
+
+    /// A subscription that is renewed again and again.
+    #[test]
+    fn a_retired_source_is_forgotten_and_gets_nothing() {
+        let inbox = Inbox::new();
+        let first = inbox.add_source("/x", 1, SourceKind::Expected);
+        inbox.put(first, Event::Input(1), now());
+        for _ in 0..100 {
+            let source = inbox.add_source("/x", 1, SourceKind::Expected);
+            inbox.retire(source);
+            inbox.put(source, Event::Input(2), now());
+            inbox.refuse(source);
+        }
+        let held = || {
+            let state = inbox.lock();
+            (state.sources.len(), state.queue.len())
+        };
+        assert_eq!(held(), (1, 1));
+        inbox.retire(first);
+        assert_eq!(held(), (0, 0));
     }
 
     #[test]

@@ -98,14 +98,9 @@ fn check_token(whole: &str, token: &str) -> Result<(), NameError> {
     Ok(())
 }
 
+/// Checks the parts of a name that begins with a slash.
 fn check_absolute(name: &str) -> Result<(), NameError> {
-    let Some(rest) = name.strip_prefix('/') else {
-        return Err(NameError {
-            name: name.to_owned(),
-            reason: "an absolute name begins with `/`",
-        });
-    };
-    rest.split('/').try_for_each(|token| check_token(name, token))
+    name.split('/').skip(1).try_for_each(|token| check_token(name, token))
 }
 
 /// Remap rule `from:=to`, for one node or all.

@@ -51,27 +51,17 @@ def service(package, name, request, reply):
     ]
 
 
+rcl, seq = "rcl_interfaces", types.sequence
 SERVICES = {
     "list_parameters": service(
-        "rcl_interfaces",
-        "ListParameters",
-        {"prefixes": types.sequence[str], "depth": types.uint64},
-        {"names": types.sequence[str], "prefixes": types.sequence[str]},
+        rcl, "ListParameters", {"prefixes": seq[str], "depth": types.uint64}, {"names": seq[str], "prefixes": seq[str]}
     ),
-    "get_parameters": service(
-        "rcl_interfaces", "GetParameters", {"names": types.sequence[str]}, {"values": types.sequence[ParameterValue]}
-    ),
+    "get_parameters": service(rcl, "GetParameters", {"names": seq[str]}, {"values": seq[ParameterValue]}),
     "describe_parameters": service(
-        "rcl_interfaces",
-        "DescribeParameters",
-        {"names": types.sequence[str]},
-        {"descriptors": types.sequence[ParameterDescriptor]},
+        rcl, "DescribeParameters", {"names": seq[str]}, {"descriptors": seq[ParameterDescriptor]}
     ),
     "set_parameters": service(
-        "rcl_interfaces",
-        "SetParameters",
-        {"parameters": types.sequence[Parameter]},
-        {"results": types.sequence[SetParametersResult]},
+        rcl, "SetParameters", {"parameters": seq[Parameter]}, {"results": seq[SetParametersResult]}
     ),
     "get_state": service("lifecycle_msgs", "GetState", {"nothing": types.uint8}, {"current_state": State}),
     "change_state": service("lifecycle_msgs", "ChangeState", {"id": types.uint8, "label": str}, {"success": bool}),

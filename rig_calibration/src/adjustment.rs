@@ -3,12 +3,12 @@
 use crate::{
     CalibrationError,
     arrow::{Arrow, STATE},
-    median::median,
     parameters::{self, PARAMETERS, Parameters},
     problem::{CLIMBER_NOISE, State, integrated, motion, pixel_whitener, pixels},
     recording::Recording,
 };
 use nalgebra::{DMatrix, DVector, SMatrix};
+use rig_model::median;
 
 /// Eight residuals of variance one: 60 is beyond the 1 - 1e-9 quantile of χ². Nine of an interval:
 /// 34 is the 1 - 1e-4 quantile.

@@ -4,9 +4,8 @@
 //! instability B a flat minimum of 0.664 B, and the random walk of its bias, of density K, K
 //! √(τ/3).
 
-use crate::median::median;
 use nalgebra::Vector3;
-use rig_model::ImuSample;
+use rig_model::{ImuSample, median};
 use std::fmt;
 use thiserror::Error;
 

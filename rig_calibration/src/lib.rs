@@ -16,7 +16,6 @@ mod error;
 mod estimate;
 mod inertial;
 mod initial;
-mod median;
 mod parameters;
 mod problem;
 mod recording;

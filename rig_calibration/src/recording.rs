@@ -148,16 +148,11 @@ impl Recording {
     }
 
     fn keep_span(&mut self) {
-        let way: Vec<f64> = std::iter::once(0.0)
-            .chain(self.shots.windows(2).map(|w| {
-                let (a, b) = (self.climber_at(w[0].time), self.climber_at(w[1].time));
-                (b.0 - a.0).norm() + (b.1 - a.1).abs()
-            }))
-            .scan(0.0, |sum, step| {
-                *sum += step;
-                Some(*sum)
-            })
-            .collect();
+        let mut way = vec![0.0_f64];
+        for w in self.shots.windows(2) {
+            let (a, b) = (self.climber_at(w[0].time), self.climber_at(w[1].time));
+            way.push(way[way.len() - 1] + ((b.0 - a.0).norm() + (b.1 - a.1).abs()));
+        }
         let last = self.shots.len() - SPAN;
         let of = |k: &usize| way[k + SPAN - 1] - way[*k];
         let first = (0..=last).max_by(|a, b| of(a).total_cmp(&of(b))).unwrap_or(0);

@@ -11,24 +11,10 @@ pub use distortion::Distortion;
 use nalgebra::{Matrix2x3, Point3, Vector2, Vector3};
 use thiserror::Error;
 
-/// Invalid `CameraInfo`.
+/// Invalid `CameraInfo`: which entry is unknown, of another length or invalid, and what to do.
 #[derive(Clone, Debug, Error, PartialEq)]
-pub enum CameraModelError {
-    /// An entry is unknown, of another length or invalid: which one, and what to do.
-    #[error("camera_info: {0}")]
-    Invalid(String),
-    /// The camera crops or bins: `k` does not describe the images it sends.
-    #[error(
-        "camera_info: binning {binning_x}x{binning_y} or a region of interest is set; \
-         send full images, or a camera_info without them"
-    )]
-    Cropped {
-        /// `binning_x`.
-        binning_x: u32,
-        /// `binning_y`.
-        binning_y: u32,
-    },
-}
+#[error("camera_info: {0}")]
+pub struct CameraModelError(pub String);
 
 /// Intrinsic parameters of a camera.
 #[derive(Clone, Debug, PartialEq)]
@@ -48,7 +34,7 @@ impl CameraModel {
     /// Creates a model from image size (px), `[fx, fy, cx, cy]` (px) and distortion.
     ///
     /// # Errors
-    /// [`CameraModelError::Invalid`] for a size of zero, a focal length ≤ 0, or a non-finite value.
+    /// [`CameraModelError`] for a size of zero, a focal length ≤ 0, or a non-finite value.
     pub fn new(
         width: u32,
         height: u32,
@@ -68,7 +54,7 @@ impl CameraModel {
             positive.into_iter().filter(|(_, value)| !(value.is_finite() && *value > 0.0));
         let invalid = invalid.chain(finite.filter(|(_, value)| !value.is_finite())).next();
         if let Some((what, value)) = invalid {
-            return Err(CameraModelError::Invalid(format!(
+            return Err(CameraModelError(format!(
                 "{what} is {value}, which is invalid; calibrate the camera or set its \
                  camera_info_url"
             )));
@@ -100,7 +86,7 @@ impl CameraModel {
                 return Ok([0.0; N]);
             }
             d.try_into().map_err(|_| {
-                CameraModelError::Invalid(format!(
+                CameraModelError(format!(
                     "d has {} coefficients; the distortion model `{model}` has {N}",
                     d.len()
                 ))
@@ -113,7 +99,7 @@ impl CameraModel {
             "rational_polynomial" => Distortion::RationalPolynomial(coefficients(model, d)?),
             "equidistant" | "fisheye" => Distortion::Equidistant(coefficients(model, d)?),
             _ => {
-                return Err(CameraModelError::Invalid(format!(
+                return Err(CameraModelError(format!(
                     "distortion model `{model}` is unknown; use plumb_bob, rational_polynomial or \
                      equidistant"
                 )));

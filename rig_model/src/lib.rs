@@ -10,6 +10,7 @@ pub mod angle;
 pub mod calibration_file;
 pub mod camera;
 pub mod marker;
+mod median;
 pub mod planar_pose;
 pub mod rig;
 pub mod samples;
@@ -21,9 +22,10 @@ pub use angle::wrap_angle;
 pub use calibration_file::CalibrationFileError;
 pub use camera::{CameraModel, CameraModelError, Distortion};
 pub use marker::{MarkerColor, MarkerLayout, PerColor};
+pub use median::median;
 pub use rig::{Frames, ImuMounting, Rig, RigError};
 pub use samples::{
-    ClimberSample, ImuSample, MarkerObservation, MarkerObservations, MarkerState,
+    ClimberSample, ImuSample, JointReading, MarkerObservation, MarkerObservations, MarkerState,
     OrientationSample, Sample,
 };
 pub use stamp::Stamp;

@@ -7,7 +7,7 @@
 
 mod keys;
 
-pub use keys::{RigKey, rig_keys};
+pub use keys::rig_keys;
 
 use crate::{
     marker::{MarkerColor, MarkerLayout, PerColor},
@@ -92,7 +92,7 @@ impl Rig {
         let known = rig_keys();
         let is_known = |key: &str| is_of_every_node(key) || known.iter().any(|r| r.name == key);
         if let Some(key) = map.keys().find(|key| !is_known(key)) {
-            let hint = did_you_mean(key, known.iter().map(|r| r.name));
+            let hint = did_you_mean(key, known.iter().map(|r| r.name.as_str()));
             return Err(RigError(format!(
                 "the key `{key}` is unknown{hint}; remove it or correct its spelling"
             )));

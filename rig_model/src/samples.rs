@@ -36,6 +36,17 @@ pub struct ClimberSample {
     pub world_from_climber: Isometry3<f64>,
 }
 
+/// Joint positions at one instant: `sensor_msgs/JointState` without velocity and effort.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JointReading {
+    /// Time of the encoder sample.
+    pub stamp: Stamp,
+    /// Joint names.
+    pub names: Vec<String>,
+    /// Encoder readings in the order of `names`, in units of the joint.
+    pub positions: Vec<f64>,
+}
+
 /// Origin of a marker's image coordinates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum MarkerState {
@@ -84,13 +95,9 @@ impl MarkerObservation {
 
     /// Observation of a lost marker.
     pub fn lost(occluded_frames: u16) -> Self {
-        Self {
-            state: MarkerState::Lost,
-            occluded_frames,
-            centroid: Vector2::repeat(f64::NAN),
-            covariance: Matrix2::zeros(),
-            area: 0.0,
-        }
+        let nowhere = Vector2::repeat(f64::NAN);
+        let predicted = Self::predicted(occluded_frames, nowhere, Matrix2::zeros());
+        Self { state: MarkerState::Lost, ..predicted }
     }
 }
 

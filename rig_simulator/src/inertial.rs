@@ -91,29 +91,8 @@ impl SensorConfig {
     }
 }
 
-/// One message of a recording.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Message {
-    /// Of the IMU.
-    Imu(ImuSample),
-    /// Of the marker tracker.
-    Markers(MarkerObservations),
-    /// Of the climber.
-    Climber(ClimberSample),
-}
-
-impl From<Message> for Sample {
-    fn from(message: Message) -> Self {
-        match message {
-            Message::Imu(s) => Self::Imu(s),
-            Message::Markers(s) => Self::Markers(s),
-            Message::Climber(s) => Self::Climber(s),
-        }
-    }
-}
-
-/// All messages of a run with their times of arrival, in order of arrival.
-pub type Recording = Vec<(Stamp, Message)>;
+/// The samples of a run with their times of arrival, in order of arrival; none is of the camera.
+pub type Recording = Vec<(Stamp, Sample)>;
 
 /// The sensors of one rig.
 #[derive(Clone, Debug)]
@@ -204,7 +183,7 @@ impl<'a> Sensors<'a> {
             };
             samples.push((
                 c.epoch.plus_seconds(t + r.within(c.imu_delay[0], c.imu_delay[1])),
-                Message::Imu(sample),
+                Sample::Imu(sample),
             ));
         }
         samples
@@ -212,8 +191,8 @@ impl<'a> Sensors<'a> {
 
     /// Every IMU sample.
     pub fn imu_samples(&self) -> Vec<ImuSample> {
-        let messages = self.imu().into_iter();
-        messages.filter_map(|(_, m)| if let Message::Imu(s) = m { Some(s) } else { None }).collect()
+        let samples = self.imu().into_iter();
+        samples.filter_map(|(_, s)| if let Sample::Imu(s) = s { Some(s) } else { None }).collect()
     }
 
     /// What the encoders read at `t` seconds: x, y (m) and turn (rad), with noise and steps.
@@ -243,7 +222,7 @@ impl<'a> Sensors<'a> {
                     world_from_climber: self.motion.climber_pose(reading),
                 };
                 let delay = r.within(c.climber_delay[0], c.climber_delay[1] + 1e-9);
-                (c.epoch.plus_seconds(t + delay), Message::Climber(sample))
+                (c.epoch.plus_seconds(t + delay), Sample::Climber(sample))
             })
             .collect()
     }
@@ -294,12 +273,12 @@ impl<'a> Sensors<'a> {
                 markers,
             };
             let delay = r.within(c.image_delay[0], c.image_delay[1] + 1e-9);
-            images.push((c.epoch.plus_seconds(t + delay), Message::Markers(observations)));
+            images.push((c.epoch.plus_seconds(t + delay), Sample::Markers(observations)));
         }
         images
     }
 
-    /// All messages in order of arrival.
+    /// All samples in order of arrival.
     pub fn record(&self) -> Recording {
         let mut all = self.imu();
         all.extend(self.climber());
@@ -325,7 +304,7 @@ mod tests {
         assert!((force.norm() - 9.81).abs() < 1e-6 && rate.norm() < 1e-9, "{force} {rate}");
         let recording = sensors.record();
         assert!(recording.windows(2).all(|w| w[0].0 <= w[1].0));
-        let images = recording.iter().filter(|(_, m)| matches!(m, Message::Markers(_))).count();
+        let images = recording.iter().filter(|(_, m)| matches!(m, Sample::Markers(_))).count();
         assert!((300..400).contains(&images));
         assert_eq!(recording, Sensors::new(&motion, &rig, &camera, &config).record());
     }

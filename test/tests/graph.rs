@@ -57,8 +57,10 @@ impl NodeShell for Observer {
     }
 }
 
-/// Diagnostics of a domain.
+/// A domain: its nodes' logs and diagnostics.
 struct Observed {
+    domain: u16,
+    logs: tempfile::TempDir,
     _process: Process,
     statuses: mpsc::Receiver<DiagnosticStatus>,
 }
@@ -78,7 +80,16 @@ impl Observed {
             Ok(Observer { joints, statuses: sender.clone() })
         };
         process.start_with::<Observer>(&RosArguments::default(), start).unwrap();
-        Self { _process: process, statuses }
+        Self { domain, logs: tempfile::tempdir().unwrap(), _process: process, statuses }
+    }
+
+    /// Starts a node's process; `label` separates the logs.
+    fn node(&self, label: &str, name: &str, arguments: &[&str]) -> Node {
+        let folder = self.logs.path().join(label);
+        std::fs::create_dir_all(&folder).unwrap();
+        let words = [&["--rig", RIG], arguments].concat();
+        let environment = [("ROS_DOMAIN_ID".to_owned(), self.domain.to_string())];
+        Node::start(None, name, &words, &environment, &folder).unwrap()
     }
 
     /// Waits for a status of `node` named `graph` whose message has each of `texts`, and returns
@@ -101,16 +112,6 @@ impl Observed {
     }
 }
 
-/// A node's process; `label` separates the logs.
-fn node(domain: u16, label: &str, name: &str, arguments: &[&str]) -> Node {
-    let folder = std::env::temp_dir().join(format!("volant-graph-{}", std::process::id()));
-    let folder = folder.join(label);
-    std::fs::create_dir_all(&folder).unwrap();
-    let words = [&["--rig", RIG], arguments].concat();
-    let environment = [("ROS_DOMAIN_ID".to_owned(), domain.to_string())];
-    Node::start(None, name, &words, &environment, &folder).unwrap()
-}
-
 fn end(mut node: Node) {
     node.signal(Signal::TERM).unwrap();
     let deadline = Instant::now() + LONG;
@@ -125,18 +126,17 @@ const WARN: u8 = DiagnosticStatus::WARN;
 
 #[test]
 fn two_drivers_and_then_two_rigs_in_one_namespace_are_named() {
-    const DOMAIN: u16 = 62;
-    let observed = Observed::start(DOMAIN);
-    let driver = node(DOMAIN, "first", "climber_driver", &[]);
-    let _fusion = node(DOMAIN, "first", "pose_fusion", &[]);
+    let observed = Observed::start(62);
+    let driver = observed.node("first", "climber_driver", &[]);
+    let _fusion = observed.node("first", "pose_fusion", &[]);
     // A rig of its own namespace disturbs nobody.
     let space = ["--ros-args", "-r", "__ns:=/rig2", "-r", "/tf:=tf", "-r", "/tf_static:=tf_static"];
-    let _second_rig = node(DOMAIN, "rig2", "climber_driver", &space);
+    let _second_rig = observed.node("rig2", "climber_driver", &space);
     for name in ["/climber_driver", "/pose_fusion", "/rig2/climber_driver"] {
         observed.graph(name, OK, &[]);
     }
 
-    let double = node(DOMAIN, "second", "climber_driver", &[]);
+    let double = observed.node("second", "climber_driver", &[]);
     let texts =
         ["2 nodes are named /climber_driver", "-r __node:=NAME", "at this computer, process "];
     let named = observed.graph("/climber_driver", WARN, &texts);
@@ -156,7 +156,7 @@ fn two_drivers_and_then_two_rigs_in_one_namespace_are_named() {
     assert!(published.contains("-r FROM:=TO"), "{published}");
     observed.graph("/rig2/climber_driver", OK, &[]);
 
-    let second_fusion = node(DOMAIN, "second", "pose_fusion", &[]);
+    let second_fusion = observed.node("second", "pose_fusion", &[]);
     for name in ["/climber_driver", "/pose_fusion"] {
         let texts = ["two rigs in the namespace /", "/climber_driver, /pose_fusion", "__ns:=/rig1"];
         observed.graph(name, WARN, &texts);
@@ -171,10 +171,9 @@ fn two_drivers_and_then_two_rigs_in_one_namespace_are_named() {
 /// A node that was killed is listed until its lease ends; its successor is no second publisher.
 #[test]
 fn a_publisher_that_was_killed_is_no_second_one() {
-    const DOMAIN: u16 = 63;
-    let observed = Observed::start(DOMAIN);
-    let mut driver = node(DOMAIN, "killed", "climber_driver", &[]);
-    let _fusion = node(DOMAIN, "killed", "pose_fusion", &[]);
+    let observed = Observed::start(63);
+    let mut driver = observed.node("killed", "climber_driver", &[]);
+    let _fusion = observed.node("killed", "pose_fusion", &[]);
     observed.graph("/pose_fusion", OK, &[]);
     driver.kill().unwrap();
     driver.restart().unwrap();
@@ -190,8 +189,8 @@ fn foreign_publishers_beside_ours_are_named() {
     for (domain, (module, name)) in (64..).zip(names) {
         let Some(python) = test_support::python(module) else { return };
         let observed = Observed::start(domain);
-        let _driver = node(domain, module, "climber_driver", &[]);
-        let _fusion = node(domain, module, "pose_fusion", &[]);
+        let _driver = observed.node(module, "climber_driver", &[]);
+        let _fusion = observed.node(module, "pose_fusion", &[]);
         observed.graph("/pose_fusion", OK, &[]);
         let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peer/publish.py");
         let mut foreign = Command::new(python);

@@ -2,7 +2,7 @@
 #![allow(missing_docs, clippy::unwrap_used)]
 
 use bag::recording::map_messages;
-use climber_driver::{Climber, ClimberConfig, JointReading, Output};
+use climber_driver::{Climber, ClimberConfig, Output};
 use node_kit::convert;
 use rig_model::{ClimberSample, topics};
 use rig_simulator::{RIG_YAML, motion::MotionConfig};
@@ -90,9 +90,7 @@ fn encoder_readings_give_the_pose_of_the_drivers_transforms() {
     let mut transforms = 0;
     let topic = topics::absolute::CLIMBER_TRANSFORM;
     from_sensors(&path("transforms.mcap"), scenario, topic, |sample| {
-        let m = joints(sample);
-        let reading = JointReading { stamp: sample.stamp, names: m.name, positions: m.position };
-        driver.handle(&reading, sample.stamp);
+        driver.handle(&convert::joint_reading(&joints(sample)), sample.stamp);
         transforms += 1;
         match driver.poll() {
             Some(Output::Sample(sample)) => convert::climber_message(&sample, &scenario.rig.frames),

@@ -68,6 +68,8 @@ fn read(path: &Path, cores: &Cores, motion: bool, losses: &mut Vec<String>) -> R
         }
         roles.imu = only(topics::IMU, msg::Imu::TYPE_NAME)?;
     }
+    let cameras = summary.topics_of(msg::CameraInfo::TYPE_NAME).len();
+    let others = cameras > usize::from(roles.camera.is_some());
     let mut feed = Feed::start(path, roles.images.clone(), roles.messages(), decoding_threads())?;
     let mut front_end = FrontEnd::new(&cores.rig, roles, &cores.tracker, driver);
     let (mut markers, mut imu, mut climber) = (vec![], vec![], vec![]);
@@ -83,7 +85,7 @@ fn read(path: &Path, cores: &Cores, motion: bool, losses: &mut Vec<String>) -> R
         }
     }
     let FrontEnd { camera, rejected, counts, .. } = front_end;
-    losses.extend(feed.losses());
+    losses.extend_from_slice(feed.losses());
     losses.extend(counts.warning_lines());
     if let Some(error) = rejected.first() {
         let (number, all) = (rejected.len(), rejected.len() + climber.len());
@@ -95,10 +97,9 @@ fn read(path: &Path, cores: &Cores, motion: bool, losses: &mut Vec<String>) -> R
     }
     let camera = camera.with_context(|| {
         let topic = cores.names.resolve(topics::CAMERA_INFO);
-        format!(
-            "{shown}: no usable camera_info in it; record {topic} too, or name the rig's topics \
-             with --namespace or --remap"
-        )
+        let other = ", or name the rig's topics with --namespace or --remap";
+        let other = if others { other } else { "" };
+        format!("{shown}: no usable camera_info in it; record {topic} too{other}")
     })?;
     Ok(Samples { camera, markers, imu, climber })
 }

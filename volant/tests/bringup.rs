@@ -313,7 +313,8 @@ fn an_own_recording_is_no_default() {
     assert!(printed.contains("[live 60]"), "{printed}");
 }
 
-/// No topic of the bag has the rig's name, and `bringup` has no option that would name one.
+/// No topic of the bag has the rig's name, and `bringup` has no option that would name one. The
+/// later steps use the answer.
 #[test]
 fn the_operator_chooses_the_rigs_camera_where_a_bag_has_two_others() {
     let place = Place::with_rig(RIG_YAML);
@@ -340,4 +341,7 @@ fn the_operator_chooses_the_rigs_camera_where_a_bag_has_two_others() {
         assert!(printed.contains(needle), "{needle} in\n{printed}");
     }
     assert!(!printed.contains("--namespace") && !printed.contains("--topic"), "{printed}");
+    let (_, printed) = bringup(&place, "mounting --rig rig.yaml", "\ntwo.mcap\n\n");
+    assert!(printed.contains("no usable camera_info in it"), "{printed}");
+    assert!(!printed.contains("Images on") && !printed.contains("--namespace"), "{printed}");
 }

@@ -19,7 +19,7 @@ const RESET_PATIENCE: f64 = 2.5;
 const FIRST_PAUSE: f64 = 0.1;
 
 /// Baud rates to try, pause between attempts, and events reported so far.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Connection {
     bauds: Vec<u32>,
     index: usize,
@@ -36,13 +36,9 @@ impl Connection {
     pub(super) fn new(config: &DriverConfig) -> Self {
         Self {
             bauds: config.bauds(),
-            index: 0,
             pause: FIRST_PAUSE,
             longest_pause: config.longest_pause.max(FIRST_PAUSE),
-            reported_missing: None,
-            reported_no_answer: false,
-            reported_too_slow: false,
-            heard_at: None,
+            ..Self::default()
         }
     }
 

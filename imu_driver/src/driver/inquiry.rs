@@ -24,9 +24,10 @@ const ATTEMPTS_IF_OPTIONAL: u32 = 3;
 /// Time after which a request is no longer expected to be answered, s.
 const EXPIRY: f64 = 5.0;
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 enum Stage {
     /// Identity and configuration.
+    #[default]
     Reading,
     /// Settings that differ.
     Writing,
@@ -34,7 +35,7 @@ enum Stage {
     ReadingBack,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Inquiry {
     stage: Stage,
     /// Pending request.
@@ -86,7 +87,7 @@ impl Inquiry {
     }
 }
 
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 struct Request {
     message: MessageId,
     data: Vec<u8>,
@@ -127,24 +128,16 @@ impl Driver {
     pub(super) fn begin_inquiry(&mut self) {
         self.connection.found();
         self.identity.baud = self.connection.baud();
-        let request = Request::ask(MessageId::REQ_DEVICE_ID);
-        let queue = [
+        let requests = [
+            MessageId::REQ_DEVICE_ID,
             MessageId::REQ_PRODUCT_CODE,
             MessageId::REQ_FIRMWARE,
             MessageId::REQ_CONFIGURATION,
             MessageId::OUTPUT_CONFIGURATION,
         ];
-        self.phase = Phase::Asking(Inquiry {
-            stage: Stage::Reading,
-            request: request.clone(),
-            sent_at: self.time.now,
-            attempts: 0,
-            queue: queue.map(Request::ask).into(),
-            in_flight: VecDeque::new(),
-            number: 0,
-            changed: false,
-        });
-        self.send_request(request);
+        let queue = requests.map(Request::ask).into();
+        self.phase = Phase::Asking(Inquiry { queue, ..Inquiry::default() });
+        self.proceed();
     }
 
     pub(super) fn tick_inquiry(&mut self) {

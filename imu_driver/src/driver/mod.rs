@@ -7,7 +7,7 @@
 //!   └── port lost ─────┴───────────┴─ no reply, silence, WakeUp, unreadable ┘
 //! ```
 //!
-//! Time enters with the inputs and is that of the host's clock. [`Input::ClockSet`] reports that
+//! Time enters with the inputs and is that of the host's clock. [`Driver::clock_set`] reports that
 //! this clock was set: stamps follow at once, timers and the clock fit are not affected. Timers
 //! count the sum of small steps, so that an unreported step of the clock neither blocks nor
 //! triggers them.
@@ -37,41 +37,15 @@ use stream::Stream;
 #[derive(Clone, Copy, Debug)]
 pub enum Input<'a> {
     /// The port was opened as requested by [`Output::Open`].
-    Opened {
-        /// Current time.
-        at: Stamp,
-    },
-    /// The port could not be opened.
-    OpenFailed {
-        /// Current time.
-        at: Stamp,
-        /// Reason, with the name of the port.
-        reason: &'a str,
-    },
-    /// Bytes were received.
-    Bytes {
-        /// The bytes.
-        bytes: &'a [u8],
-        /// Time at which they were read.
-        arrival: Stamp,
-    },
-    /// Reading or writing failed and the port was closed.
-    Lost {
-        /// Current time.
-        at: Stamp,
-        /// Reason.
-        reason: &'a str,
-    },
+    Opened,
+    /// The port could not be opened, for this reason, which names the port.
+    OpenFailed(&'a str),
+    /// These bytes were received.
+    Bytes(&'a [u8]),
+    /// Reading or writing failed for this reason, and the port was closed.
+    Lost(&'a str),
     /// Time has passed; required at least ten times per second.
-    Tick {
-        /// Current time.
-        at: Stamp,
-    },
-    /// The host's clock was set.
-    ClockSet {
-        /// New time minus old time, ns.
-        by: i64,
-    },
+    Tick,
 }
 
 /// Output of the driver.
@@ -180,29 +154,24 @@ impl Driver {
         })
     }
 
-    /// Processes one input.
-    pub fn handle(&mut self, input: Input<'_>) {
-        let at = match input {
-            Input::Opened { at }
-            | Input::OpenFailed { at, .. }
-            | Input::Bytes { arrival: at, .. }
-            | Input::Lost { at, .. }
-            | Input::Tick { at } => at,
-            Input::ClockSet { by } => {
-                // Waiting samples are stamped on the new clock.
-                self.time.set_by = self.time.set_by.saturating_add(by);
-                return self.event(Event::ClockSet(by as f64 * 1e-9));
-            }
-        };
+    /// Processes one input; `at` is the current time, or that at which the bytes were read.
+    pub fn handle(&mut self, input: Input<'_>, at: Stamp) {
         let at = self.time.advance(at);
         match input {
-            Input::Opened { .. } => self.opened(),
-            Input::OpenFailed { reason, .. } => self.open_failed(reason),
-            Input::Bytes { bytes, .. } => self.bytes(bytes, at),
-            Input::Lost { reason, .. } => self.lost(reason),
-            Input::Tick { .. } | Input::ClockSet { .. } => {}
+            Input::Opened => self.opened(),
+            Input::OpenFailed(reason) => self.open_failed(reason),
+            Input::Bytes(bytes) => self.bytes(bytes, at),
+            Input::Lost(reason) => self.lost(reason),
+            Input::Tick => {}
         }
         self.tick();
+    }
+
+    /// Reports that the host's clock was set by `by` ns (new minus old).
+    pub fn clock_set(&mut self, by: i64) {
+        // Waiting samples are stamped on the new clock.
+        self.time.set_by = self.time.set_by.saturating_add(by);
+        self.event(Event::ClockSet(by as f64 * 1e-9));
     }
 
     /// Ends the stream: releases the samples that wait for the clock fit.

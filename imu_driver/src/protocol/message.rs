@@ -3,7 +3,7 @@
 use std::fmt;
 
 /// Message identifier (MID).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct MessageId(pub u8);
 
 macro_rules! messages {

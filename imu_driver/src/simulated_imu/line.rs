@@ -19,6 +19,7 @@ impl Line {
 }
 
 /// Transmission from the IMU to the host.
+#[derive(Default)]
 pub(super) struct Wire {
     /// Baud rate in effect; that in flash takes effect on a reset.
     pub baud: u32,
@@ -36,15 +37,7 @@ pub(super) struct Wire {
 
 impl Wire {
     pub(super) fn new(baud: u32, now: Stamp) -> Self {
-        Self {
-            baud,
-            free: now,
-            mute: false,
-            arrivals: VecDeque::new(),
-            next_burst: None,
-            random: 0x9E37_79B9_7F4A_7C15,
-            just_opened: false,
-        }
+        Self { baud, free: now, random: 0x9E37_79B9_7F4A_7C15, ..Self::default() }
     }
 
     /// The host has opened the port: of a message in transmission it receives the end only.

@@ -10,6 +10,7 @@ use rig_model::Stamp;
 const START: Stamp = Stamp::from_nanos(1_760_001_000_000_000_000);
 
 /// Timing of the host's reads.
+#[derive(Default)]
 pub struct Host {
     /// Each read is late by 20 µs and up to this, s; 0: not late.
     pub lateness: f64,
@@ -83,14 +84,7 @@ impl Bench {
         Self {
             driver: Driver::new(driver).unwrap(),
             imu: SimulatedImu::new(imu, Box::new(motion), START),
-            host: Host {
-                lateness: 0.0,
-                busy: false,
-                random: 0x9E37_79B9_7F4A_7C15,
-                unread: Vec::new(),
-                wakes_at: START,
-                set_by: 0.0,
-            },
+            host: Host { random: 0x9E37_79B9_7F4A_7C15, wakes_at: START, ..Host::default() },
             now: START,
             line: None,
             plugged: true,
@@ -128,14 +122,14 @@ impl Bench {
     pub fn set_clock(&mut self, by: f64, report: bool) {
         self.host.set_by += by;
         if report {
-            self.driver.handle(Input::ClockSet { by: (by * 1e9).round() as i64 });
+            self.driver.clock_set((by * 1e9).round() as i64);
         }
     }
 
     /// Processes everything up to `now`.
     pub fn step(&mut self) {
         let now = self.now;
-        self.driver.handle(Input::Tick { at: self.host.clock(now) });
+        self.driver.handle(Input::Tick, self.host.clock(now));
         while let Some(bytes) = self.imu.poll(self.line.unwrap_or(Line::CLOSED), now) {
             if self.line.is_none() || bytes.is_empty() {
                 continue;
@@ -148,12 +142,11 @@ impl Bench {
             if self.host.lateness > 0.0 {
                 arrival = now.plus_seconds(20e-6 + self.host.lateness * self.host.share());
             }
-            let arrival = self.host.clock(arrival);
-            self.driver.handle(Input::Bytes { bytes: &bytes, arrival });
+            self.driver.handle(Input::Bytes(&bytes), self.host.clock(arrival));
         }
         if !self.host.unread.is_empty() && now >= self.host.wakes_at {
             let bytes = std::mem::take(&mut self.host.unread);
-            self.driver.handle(Input::Bytes { bytes: &bytes, arrival: self.host.clock(now) });
+            self.driver.handle(Input::Bytes(&bytes), self.host.clock(now));
         }
         while let Some(output) = self.driver.poll() {
             self.output(output);
@@ -166,10 +159,10 @@ impl Bench {
             Output::Open { baud, two_stop_bits } if self.plugged => {
                 self.line = Some(Line { baud, two_stop_bits });
                 self.imu.opened(now);
-                self.driver.handle(Input::Opened { at });
+                self.driver.handle(Input::Opened, at);
             }
             Output::Open { .. } => {
-                self.driver.handle(Input::OpenFailed { at, reason: "no such port" });
+                self.driver.handle(Input::OpenFailed("no such port"), at);
             }
             Output::Close => self.line = None,
             Output::SetBaud(baud) => {
@@ -194,7 +187,7 @@ impl Bench {
     pub fn unplug(&mut self) {
         self.plugged = false;
         self.line = None;
-        self.driver.handle(Input::Lost { at: self.host.clock(self.now), reason: "unplugged" });
+        self.driver.handle(Input::Lost("unplugged"), self.host.clock(self.now));
     }
 
     /// Removes the adapter for `seconds`, and simulates `after` seconds with it.

@@ -64,12 +64,8 @@ fn draw(
         imgproc::circle(&mut out, center, 3 << FINE_BITS, ring, 1, imgproc::LINE_AA, FINE_BITS)?;
         let end = fine(m.centroid + m.flow * 10.0);
         imgproc::line(&mut out, center, end, white, 1, imgproc::LINE_AA, FINE_BITS)?;
-        let word = match m.state {
-            MarkerState::Detected => "detected",
-            MarkerState::Predicted => "predicted",
-            MarkerState::Lost => "lost",
-        };
-        let (text, at) = (format!("{color} {word}"), Point::new(x0.max(0), (y0 - 3).max(8)));
+        let text = format!("{color} {:?}", m.state).to_lowercase();
+        let at = Point::new(x0.max(0), (y0 - 3).max(8));
         let (font, smooth) = (imgproc::FONT_HERSHEY_SIMPLEX, imgproc::LINE_AA);
         imgproc::put_text(&mut out, &text, at, font, 0.35, ink, 1, smooth, false)?;
     }

@@ -101,7 +101,7 @@ impl MarkerTrackerNode {
         result: Result<(), ImageError>,
     ) {
         if let Err(error) = result {
-            self.stages.rejected += 1;
+            self.stages.reject(&error);
             let text = format!("{}: {error}", self.source);
             context.log_throttled(Level::Warn, "image", text);
         }
@@ -121,7 +121,7 @@ impl MarkerTrackerNode {
                     match warning {
                         Warning::Image(_)
                         | Warning::StampFromThePast { .. }
-                        | Warning::Library { .. } => self.stages.rejected += 1,
+                        | Warning::Library { .. } => self.stages.reject(&warning),
                         Warning::Repeated { .. } => self.stages.repeated += 1,
                         Warning::CameraSize { .. } => {}
                     }

@@ -1,12 +1,17 @@
 //! Durations of the stages and counts of images, for the diagnostics.
 
 use crate::image::ImageView;
-use std::time::{Duration, Instant};
+use std::{
+    fmt::Display,
+    time::{Duration, Instant},
+};
 
 /// Sums since the last report.
 #[derive(Debug, Default)]
 pub(crate) struct Stages {
     pub rejected: u32,
+    /// Why the last image was rejected.
+    reason: String,
     /// Number of images that were copies of their predecessor.
     pub repeated: u32,
     /// Of every image.
@@ -67,6 +72,12 @@ impl Stages {
         Instant::now()
     }
 
+    /// Counts a rejected image.
+    pub fn reject(&mut self, reason: &dyn Display) {
+        self.rejected += 1;
+        self.reason = reason.to_string();
+    }
+
     /// Records the brightness of an image without a marker.
     pub fn add_brightness(&mut self, image: &ImageView<'_>) {
         self.brightness += brightness(image);
@@ -88,6 +99,7 @@ impl Stages {
         vec![
             ("images", self.convert.count.to_string()),
             ("rejected", self.rejected.to_string()),
+            ("reason of the last rejection", self.reason.clone()),
             ("repeated", self.repeated.to_string()),
             ("all four detected", four.to_string()),
             ("three detected", three.to_string()),

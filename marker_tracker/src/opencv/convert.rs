@@ -11,19 +11,16 @@ use opencv::{
 /// `sensor_msgs/image_encodings` names a Bayer pattern by the first two pixels of the first two
 /// rows, OpenCV by the second and third of the second row: rggb is its BG.
 fn conversion(encoding: &str) -> Option<(i32, usize)> {
-    Some(match encoding {
-        "bayer_rggb8" => (imgproc::COLOR_BayerBG2RGB, 1),
-        "bayer_bggr8" => (imgproc::COLOR_BayerRG2RGB, 1),
-        "bayer_gbrg8" => (imgproc::COLOR_BayerGR2RGB, 1),
-        "bayer_grbg8" => (imgproc::COLOR_BayerGB2RGB, 1),
-        "bayer_rggb16" => (imgproc::COLOR_BayerBG2RGB, 2),
-        "bayer_bggr16" => (imgproc::COLOR_BayerRG2RGB, 2),
-        "bayer_gbrg16" => (imgproc::COLOR_BayerGR2RGB, 2),
-        "bayer_grbg16" => (imgproc::COLOR_BayerGB2RGB, 2),
-        "yuv422" | "uyvy" => (imgproc::COLOR_YUV2RGB_UYVY, 2),
-        "yuv422_yuy2" | "yuyv" => (imgproc::COLOR_YUV2RGB_YUY2, 2),
+    let code = match encoding {
+        "bayer_rggb8" | "bayer_rggb16" => imgproc::COLOR_BayerBG2RGB,
+        "bayer_bggr8" | "bayer_bggr16" => imgproc::COLOR_BayerRG2RGB,
+        "bayer_gbrg8" | "bayer_gbrg16" => imgproc::COLOR_BayerGR2RGB,
+        "bayer_grbg8" | "bayer_grbg16" => imgproc::COLOR_BayerGB2RGB,
+        "yuv422" | "uyvy" => imgproc::COLOR_YUV2RGB_UYVY,
+        "yuv422_yuy2" | "yuyv" => imgproc::COLOR_YUV2RGB_YUY2,
         _ => return None,
-    })
+    };
+    Some((code, if encoding.ends_with('8') { 1 } else { 2 }))
 }
 
 /// Largest value of 14 bits, those of the deepest common sensors. Some drivers leave 10, 12 or 14

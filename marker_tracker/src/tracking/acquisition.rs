@@ -61,7 +61,8 @@ impl Acquired {
 /// Patches of the markers' colors and hypotheses; their memory is reused.
 #[derive(Debug)]
 pub(super) struct Acquisition {
-    scanner: Scanner,
+    /// With the palette of the calibrated colors.
+    pub scanner: Scanner,
     found: Vec<Hypothesis>,
 }
 
@@ -73,16 +74,6 @@ impl Acquisition {
     /// Creates the search for papers of these colors (mean r, g, b of 0–255), where calibrated.
     pub fn new(colors: &PerColor<Option<[f64; 3]>>) -> Self {
         Self { scanner: Scanner::new(Palette::new(colors)), found: Vec::with_capacity(64) }
-    }
-
-    /// Replaces the calibrated colors.
-    pub fn set_colors(&mut self, colors: &PerColor<Option<[f64; 3]>>) {
-        self.scanner.palette = Palette::new(colors);
-    }
-
-    /// The calibrated colors.
-    pub fn palette(&self) -> &Palette {
-        &self.scanner.palette
     }
 
     /// The outline moved to the nearest patch of the marker's color, size and shape, at most

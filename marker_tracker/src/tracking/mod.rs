@@ -25,6 +25,7 @@ use crate::{
     engine::Engine,
     image::{ImageView, Pixels, Window},
     outline::QuadFit,
+    scan::Palette,
     signal::Sampler,
 };
 use acquisition::{Acquisition, PATCH_REACH};
@@ -199,7 +200,7 @@ impl Pipeline {
     /// Measures the markers that are not whole at the places that the other markers' pose gives;
     /// returns the number of detected markers.
     fn measure_partial(&mut self, image: &Pixels<'_>, view: &View<'_>, whole: &Fits) -> usize {
-        let palette = self.acquisition.palette();
+        let palette = &self.acquisition.scanner.palette;
         let mut search = PartialSearch::new(image, view, whole, palette, &self.config);
         for color in MarkerColor::ALL {
             let meter = self.meter(color);
@@ -330,7 +331,7 @@ impl Engine for Pipeline {
     }
 
     fn set_config(&mut self, config: TrackerConfig) {
-        self.acquisition.set_colors(&config.start_colors);
+        self.acquisition.scanner.palette = Palette::new(&config.start_colors);
         self.config = config;
     }
 

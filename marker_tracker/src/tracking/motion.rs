@@ -46,7 +46,7 @@ impl PlatformMotion {
 #[derive(Clone, Debug, Default)]
 pub(super) struct ImageInterval {
     last: Option<Stamp>,
-    /// Before the last image, s; 0 before the second image.
+    /// Before the last image, s; 0 before the second image and where time was set back.
     pub seconds: f64,
 }
 
@@ -68,7 +68,7 @@ impl ImageInterval {
     /// Advances to the stamp of a new image; returns its [`ratio`](Self::ratio).
     pub fn advance(&mut self, stamp: Stamp) -> f64 {
         let ratio = self.ratio(stamp);
-        self.seconds = self.last.map_or(0.0, |last| stamp.seconds_since(last));
+        self.seconds = self.last.map_or(0.0, |last| stamp.seconds_since(last).max(0.0));
         self.last = Some(stamp);
         ratio
     }
@@ -77,6 +77,17 @@ impl ImageInterval {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_stamp_that_is_set_back_starts_a_new_interval() {
+        let mut interval = ImageInterval::default();
+        for (seconds, ratio, before) in
+            [(10, 1.0, 0.0), (11, 1.0, 1.0), (5, 0.2, 0.0), (6, 1.0, 1.0)]
+        {
+            assert_eq!(interval.advance(Stamp::from_nanos(seconds * 1_000_000_000)), ratio);
+            assert_eq!(interval.seconds, before);
+        }
+    }
 
     #[test]
     fn a_motion_needs_three_markers_at_both_of_its_ends() {

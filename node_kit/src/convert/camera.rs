@@ -7,8 +7,8 @@ use volant_msgs::sensor_msgs::msg as sensor;
 /// Camera model of a `CameraInfo` message.
 ///
 /// # Errors
-/// As [`CameraModel::from_camera_info`]; [`CameraModelError::Cropped`] for binning or a region of
-/// interest.
+/// As [`CameraModel::from_camera_info`], and for binning or a region of interest: `k` does not
+/// describe such images.
 pub fn camera_model(message: &sensor::CameraInfo) -> Result<CameraModel, CameraModelError> {
     let roi = &message.roi;
     let whole = (roi.width == 0 || roi.width == message.width)
@@ -16,10 +16,11 @@ pub fn camera_model(message: &sensor::CameraInfo) -> Result<CameraModel, CameraM
         && roi.x_offset == 0
         && roi.y_offset == 0;
     if message.binning_x > 1 || message.binning_y > 1 || !whole {
-        return Err(CameraModelError::Cropped {
-            binning_x: message.binning_x,
-            binning_y: message.binning_y,
-        });
+        return Err(CameraModelError(format!(
+            "binning {}x{} or a region of interest is set; send full images, or a camera_info \
+             without them",
+            message.binning_x, message.binning_y
+        )));
     }
     CameraModel::from_camera_info(
         message.width,

@@ -20,7 +20,7 @@ use crate::{
     level::Level,
     lifecycle::LifecycleState,
     names::{NodeName, Remap},
-    parameters::{Changes, CommonParameters, ParameterSet, ParameterStore, ParameterValue},
+    parameters::{CommonParameters, ParameterSet, ParameterStore, ParameterValue},
     qos::{Qos, QosPreset},
 };
 use parking_lot::{Mutex, MutexGuard};
@@ -38,7 +38,7 @@ use volant_msgs::{
 pub(crate) struct Held {
     pub subscriptions: Vec<Subscription>,
     pub services: Vec<OfferedService>,
-    /// Inbox sources of the services.
+    /// Inbox sources of the services, and of the wake-ups by `/clock`.
     pub sources: Vec<SourceId>,
 }
 
@@ -283,6 +283,8 @@ impl NodeHandle {
         self.clock.set_simulated(simulated);
         if !simulated {
             self.own.subscriptions.clear();
+            let sources = std::mem::take(&mut self.own.sources);
+            sources.into_iter().for_each(|source| self.endpoints.sources.retire(source));
         } else if self.own.subscriptions.is_empty() {
             let (clock, sources) = (self.clock.clone(), Arc::clone(&self.endpoints.sources));
             let wake = sources.add_source("clock", 1, SourceKind::Control);
@@ -297,14 +299,9 @@ impl NodeHandle {
                 },
             )?;
             self.own.subscriptions.push(subscription);
+            self.own.sources.push(wake);
         }
         Ok(())
-    }
-
-    /// Publishes all parameters on `/parameter_events`.
-    pub(crate) fn announce_parameters(&self) {
-        let all: Changes = self.parameter_store().values().clone().into_iter().collect();
-        self.announce(&all);
     }
 
     /// Publishes changes on `/parameter_events`, the only use of ros2-client's copy of the

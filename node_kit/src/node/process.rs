@@ -232,9 +232,9 @@ impl Process {
     /// # Errors
     /// The first error of a node, or that the middleware ended.
     pub fn wait(mut self) -> Result<(), NodeError> {
-        self.domain.supervisor.ready();
+        self.domain.supervisor.send("READY=1");
         let lost = !self.nodes.is_empty() && matches!(self.ended.recv(), Ok(Ended::Middleware(_)));
-        self.domain.supervisor.stopping();
+        self.domain.supervisor.send("STOPPING=1");
         let outcome = self.shut_down();
         if lost { Err(NodeError::shell(MIDDLEWARE_ENDED)) } else { outcome }
     }
@@ -249,7 +249,7 @@ impl Process {
         start: impl Fn(&mut Self) -> Result<(), NodeError>,
     ) -> Result<(), NodeError> {
         start(&mut self)?;
-        self.domain.supervisor.ready();
+        self.domain.supervisor.send("READY=1");
         while let Some(Ok(Ended::Middleware(loss))) =
             (!self.nodes.is_empty()).then(|| self.ended.recv())
         {
@@ -265,7 +265,7 @@ impl Process {
             self.domain = Arc::new(domain);
             start(&mut self)?;
         }
-        self.domain.supervisor.stopping();
+        self.domain.supervisor.send("STOPPING=1");
         self.shut_down()
     }
 

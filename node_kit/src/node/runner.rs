@@ -70,7 +70,8 @@ pub(crate) fn run<S: NodeShell>(
         runner.change(Transition::CONFIGURE)?;
         runner.change(Transition::ACTIVATE)?;
     }
-    runner.context.announce_parameters();
+    let all: Vec<_> = runner.context.parameter_store().values().clone().into_iter().collect();
+    runner.context.announce(&all);
     let _ = started.send(());
     runner.run();
     runner.context.ending.take().unwrap_or(Ok(()))

@@ -64,16 +64,6 @@ impl Supervisor {
         })
     }
 
-    /// Reports that every node has started.
-    pub fn ready(&self) {
-        self.send("READY=1");
-    }
-
-    /// Reports that the process ends.
-    pub fn stopping(&self) {
-        self.send("STOPPING=1");
-    }
-
     /// Adds an event loop, which must pass for every beat until its handle drops.
     pub fn add_loop(self: &Arc<Self>) -> EventLoop {
         let mut loops = self.loops.lock();
@@ -83,7 +73,8 @@ impl Supervisor {
         EventLoop { supervisor: Arc::clone(self), number }
     }
 
-    fn send(&self, text: &str) {
+    /// Sends a signal to the service manager.
+    pub fn send(&self, text: &str) {
         if let Some(socket) = &self.socket {
             // The manager may be gone or busy; a missing beat is what it watches for.
             let _ = socket.send(text.as_bytes());

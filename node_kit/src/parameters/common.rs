@@ -1,6 +1,6 @@
 //! Parameters of every node.
 
-use super::{Descriptor, ParameterKind, ParameterSet};
+use super::{Descriptor, ParameterSet};
 use rig_model::rig::rig_keys;
 
 ros_parameters::parameters! {
@@ -19,13 +19,6 @@ ros_parameters::parameters! {
 /// keys of the rig file.
 pub fn common_descriptors() -> Vec<Descriptor> {
     let mut all = CommonParameters::descriptors();
-    all.extend(rig_keys().into_iter().map(|key| {
-        let kind = match &key.default {
-            Some(value) => ParameterKind::of(value),
-            None if key.name == "markers.size" => ParameterKind::Double,
-            None => ParameterKind::DoubleArray,
-        };
-        Descriptor::new(key.name, kind, key.default, format!("Rig file: {}.", key.description))
-    }));
+    all.extend(rig_keys());
     all
 }

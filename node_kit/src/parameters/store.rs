@@ -54,10 +54,6 @@ impl ParameterStore {
         Ok(store)
     }
 
-    fn names(&self) -> impl Iterator<Item = &str> {
-        self.declared.keys().map(String::as_str)
-    }
-
     /// Names and origins of the values for all nodes that this node does not have: another node's,
     /// which rcl ignores too.
     pub fn ignored(&self) -> &[(String, String)] {
@@ -66,7 +62,7 @@ impl ParameterStore {
 
     /// ` (did you mean …?)` for an unknown name, or nothing.
     pub fn hint(&self, name: &str) -> String {
-        did_you_mean(name, self.names())
+        did_you_mean(name, self.declared.keys().map(String::as_str))
     }
 
     fn unknown(&self, name: &str) -> ParameterError {

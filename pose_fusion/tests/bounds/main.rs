@@ -21,7 +21,7 @@ use rig_model::{
     score::{Nees, PoseError},
 };
 use rig_simulator::{
-    inertial::{Message, SensorConfig, Sensors},
+    inertial::{SensorConfig, Sensors},
     motion::{Motion, MotionConfig},
     parallel,
     random::Random,
@@ -96,17 +96,17 @@ fn against_rig(
     let mut odometry: Vec<Odometry> = Vec::new();
     let mut against = Against::default();
     let mut sample_before = None;
-    for (_, message) in &recording {
+    for (_, input) in &recording {
         let newest = odometry.last().map(|o| o.stamp);
-        let outputs = scoring::run(&mut fusion, [simulated::input(message.clone())]);
-        if let (Message::Imu(s), true) = (message, newest.is_some()) {
+        let outputs = scoring::run(&mut fusion, [input.clone()]);
+        if let (Input::Imu(s), true) = (input, newest.is_some()) {
             let last = outputs.odometry.last().map_or(newest.unwrap(), |o| o.stamp);
             if let Some(before) = sample_before {
                 against.age =
                     against.age.max(s.stamp.seconds_since(last) / s.stamp.seconds_since(before));
             }
         }
-        if let Message::Imu(s) = message {
+        if let Input::Imu(s) = input {
             sample_before = Some(s.stamp);
         }
         odometry.extend(outputs.odometry);

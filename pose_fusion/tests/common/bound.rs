@@ -11,9 +11,9 @@ use nalgebra::{
     Isometry3, Matrix3, SMatrix, SVector, Translation3, UnitQuaternion, Vector2, Vector3,
 };
 use pose_fusion::TightConfig;
-use rig_model::{CameraModel, MarkerColor, MarkerState, Rig};
+use rig_model::{CameraModel, MarkerColor, MarkerState, Rig, Sample};
 use rig_simulator::{
-    inertial::{Message, Recording, SensorConfig, Sensors},
+    inertial::{Recording, SensorConfig, Sensors},
     motion::Motion,
 };
 
@@ -159,15 +159,15 @@ pub fn bound(
     let seconds = |stamp: rig_model::Stamp| stamp.seconds_since(config.epoch);
     let mut data: Vec<(f64, f64, Datum)> = Vec::new();
     let mut samples = 0;
-    for (arrival, message) in recording {
+    for (arrival, sample) in recording {
         let arrival = seconds(*arrival);
-        match message {
-            Message::Imu(s) => {
+        match sample {
+            Sample::Imu(s) => {
                 samples += 1;
                 let datum = if samples % every == 0 { Datum::Output } else { Datum::Nothing };
                 data.push((seconds(s.stamp), arrival, datum));
             }
-            Message::Climber(s) => {
+            Sample::Climber(s) => {
                 let t = seconds(s.stamp) - config.climber_clock_ahead;
                 let h = 1e-4;
                 let (before, after) = (scene.motion.climber(t - h), scene.motion.climber(t + h));
@@ -183,12 +183,13 @@ pub fn bound(
                     .collect();
                 data.push((t, arrival, Datum::Rows(rows)));
             }
-            Message::Markers(m) => {
+            Sample::Markers(m) => {
                 let t = seconds(m.stamp) - config.camera_clock_ahead;
                 let seen = m.markers.iter().filter(|(_, o)| o.state == MarkerState::Detected);
                 let rows = seen.flat_map(|(color, _)| image_rows(scene, t, color)).collect();
                 data.push((t, arrival, Datum::Rows(rows)));
             }
+            Sample::Camera(_) => {}
         }
     }
     data.sort_by(|a, b| a.0.total_cmp(&b.0));

@@ -6,7 +6,7 @@ use rig_model::{
     score::{Truth, TruthSample},
 };
 use rig_simulator::{
-    inertial::{Message, SensorConfig, Sensors},
+    inertial::{SensorConfig, Sensors},
     motion::{Motion, MotionConfig},
 };
 
@@ -63,20 +63,12 @@ pub fn stamp_of(input: &mut Input) -> Option<&mut Stamp> {
     }
 }
 
-pub fn input(message: Message) -> Input {
-    match message {
-        Message::Imu(s) => Input::Imu(s),
-        Message::Markers(s) => Input::Markers(s),
-        Message::Climber(s) => Input::Climber(s),
-    }
-}
-
 pub fn run(motion: MotionConfig, sensors: &SensorConfig) -> Run {
     let motion = Motion::new(motion);
     let (rig, camera) = (rig(), camera());
     let recording = Sensors::new(&motion, &rig, &camera, sensors).record();
     let mut inputs = vec![(sensors.epoch, Input::Camera(camera))];
-    inputs.extend(recording.into_iter().map(|(at, message)| (at, input(message))));
+    inputs.extend(recording);
     let count = (motion.duration() * 200.0) as i64;
     let truth = (-10..count + 10)
         .map(|i| {

@@ -4,11 +4,10 @@ use super::{
     AxisCalibration, ClimberCalibration, ClimberError, Jog, RESIDUAL, Series, Shot, Value,
     assign::Assigned,
 };
-use crate::median::median;
 use nalgebra::{
     DMatrix, DVector, Isometry3, Matrix2, Translation3, UnitQuaternion, Vector2, Vector3,
 };
-use rig_model::MarkerColor;
+use rig_model::{MarkerColor, median};
 
 /// Parameters of the fit: rotation of the platform (3), climber at the first image from the
 /// platform (3, m) and its turn (rad), logarithmic change of the scales (3), camera tilt about the

@@ -15,7 +15,7 @@ mod tests;
 use crate::recording::all_detected;
 use nalgebra::{Isometry3, Vector2, Vector3};
 use rig_model::{
-    CameraModel, MarkerObservations, PerColor, Rig, Stamp,
+    CameraModel, JointReading, MarkerObservations, PerColor, Rig, Stamp,
     planar_pose::{self, TiltPrior},
 };
 use thiserror::Error;
@@ -34,17 +34,6 @@ const ROUNDS: usize = 40;
 /// Largest RMS of the pixel residuals, px: several times that of a rig file measured with a tape.
 const RESIDUAL: f64 = 4.0;
 
-/// Readings of all joints at one instant: `sensor_msgs/JointState`.
-#[derive(Clone, Debug, PartialEq)]
-pub struct JointReadings {
-    /// Time of the encoder sample.
-    pub stamp: Stamp,
-    /// Joint names.
-    pub names: Vec<String>,
-    /// Readings in the order of `names`, in units of the joint.
-    pub positions: Vec<f64>,
-}
-
 /// What a recording of a jog holds.
 #[derive(Clone, Debug)]
 pub struct Jog<'a> {
@@ -55,7 +44,7 @@ pub struct Jog<'a> {
     /// Marker observations.
     pub markers: &'a [MarkerObservations],
     /// Readings of the encoders.
-    pub joints: &'a [JointReadings],
+    pub joints: &'a [JointReading],
     /// Names to prefer where two joints measure the same axis.
     pub preferred: [&'a str; 3],
     /// Position of the platform's origin in the world while it rests, m.
@@ -174,8 +163,8 @@ fn calibrate_within(jog: &Jog<'_>, rounds: usize) -> Result<ClimberCalibration, 
 }
 
 /// Readings per joint that varies, and the stamp of the first message.
-fn series(joints: &[JointReadings]) -> (Vec<Series>, Stamp) {
-    let mut joints: Vec<&JointReadings> = joints.iter().collect();
+fn series(joints: &[JointReading]) -> (Vec<Series>, Stamp) {
+    let mut joints: Vec<&JointReading> = joints.iter().collect();
     joints.sort_by_key(|j| j.stamp);
     let start = joints.first().map(|j| j.stamp).unwrap_or_default();
     let mut series: Vec<Series> = vec![];

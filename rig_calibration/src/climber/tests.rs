@@ -1,6 +1,6 @@
 use super::*;
 use nalgebra::{Isometry3, Matrix2, Translation3, UnitQuaternion, Vector2};
-use rig_model::{Distortion, MarkerColor, MarkerObservation, MarkerState};
+use rig_model::{Distortion, MarkerColor, MarkerObservation};
 use rig_simulator::random::Random;
 
 /// Encoders of a simulated climber.
@@ -37,7 +37,7 @@ fn axes(t: f64) -> [f64; 3] {
 
 struct Recorded {
     markers: Vec<MarkerObservations>,
-    joints: Vec<JointReadings>,
+    joints: Vec<JointReading>,
 }
 
 /// Records a jog of the axes that move, with stamps of the readings that are `late` by some
@@ -65,13 +65,7 @@ fn record(
         let markers = PerColor::from_fn(|color: MarkerColor| {
             let centroid = truth.markers.projected_centroid(color, &camera, &view).unwrap().pixel
                 + Vector2::from_fn(|_, _| 0.1 * random.normal());
-            MarkerObservation {
-                state: MarkerState::Detected,
-                occluded_frames: 0,
-                centroid,
-                covariance: Matrix2::identity() * 0.01,
-                area: 500.0,
-            }
+            MarkerObservation::detected(centroid, Matrix2::identity() * 0.01, 500.0)
         });
         let stamp = Stamp::from_nanos(1_000_000_000_000).plus_seconds(t);
         recorded.markers.push(MarkerObservations { stamp, markers });
@@ -79,7 +73,7 @@ fn record(
     for i in 0..29 * 50 {
         let t = f64::from(i) / 50.0 - 0.5;
         let value = |i: usize| ZEROS[i] + at(t)[i] / SCALES[i] + 0.3 * random_step(i, t);
-        recorded.joints.push(JointReadings {
+        recorded.joints.push(JointReading {
             stamp: Stamp::from_nanos(1_000_000_000_000).plus_seconds(t + late),
             names: ["gripper", NAMES[2], NAMES[0], "spare", NAMES[1]].map(Into::into).to_vec(),
             positions: vec![(7.0 * t).sin(), value(2), value(0).round(), 3.0, value(1)],
@@ -186,7 +180,7 @@ fn an_axis_that_does_not_move_is_unobservable() {
 fn a_joint_that_is_published_once_a_second_does_not_matter() {
     let mut recorded = record(&rig(), [true; 3], |_| platform(), 0.0);
     let slow: Vec<_> = (recorded.joints.iter().step_by(50))
-        .map(|readings| JointReadings {
+        .map(|readings| JointReading {
             stamp: readings.stamp.plus_seconds(1e-3),
             names: vec!["wrist".into()],
             positions: vec![readings.positions[0]],

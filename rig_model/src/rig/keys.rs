@@ -3,18 +3,7 @@
 use super::RigError;
 use crate::topics::frames;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
-use ros_parameters::{ParameterKind, ParameterMap, ParameterValue};
-
-/// A key of the rig file.
-#[derive(Clone, Debug)]
-pub struct RigKey {
-    /// Flat name, such as `camera.position`.
-    pub name: &'static str,
-    /// Description with the unit.
-    pub description: &'static str,
-    /// Default value; `None` if the key is required.
-    pub default: Option<ParameterValue>,
-}
+use ros_parameters::{Descriptor, ParameterKind, ParameterMap, ParameterValue};
 
 const COLOR: &str = "three numbers r, g, b of 0 to 255";
 /// Largest coordinate of a position, m: rejects values in millimeters.
@@ -25,48 +14,58 @@ const LARGEST_POSITION: f64 = 100.0;
 const MARKER_SIZES: std::ops::RangeInclusive<f64> = 0.005..=0.5;
 
 /// All keys of the rig file, which each node declares among its parameters.
-pub fn rig_keys() -> Vec<RigKey> {
-    let text = |s: &str| Some(ParameterValue::String(s.to_owned()));
-    let number = |x| Some(ParameterValue::Double(x));
-    let numbers = |x: &[f64]| Some(ParameterValue::DoubleArray(x.to_vec()));
-    let key = |name, description, default| RigKey { name, description, default };
+pub fn rig_keys() -> Vec<Descriptor> {
+    let key = |name: &str, description: &str, kind, default| {
+        Descriptor::new(name, kind, default, format!("Rig file: {description}."))
+    };
+    let required = |name, description| key(name, description, ParameterKind::DoubleArray, None);
+    let text = |name, description, s: &str| {
+        key(name, description, ParameterKind::String, Some(ParameterValue::String(s.to_owned())))
+    };
+    let number = |name, description, x| {
+        key(name, description, ParameterKind::Double, Some(ParameterValue::Double(x)))
+    };
+    let numbers = |name, description, x: &[f64]| {
+        let default = Some(ParameterValue::DoubleArray(x.to_vec()));
+        key(name, description, ParameterKind::DoubleArray, default)
+    };
     vec![
-        key("frames.world", "frame id of the world", text(frames::WORLD)),
-        key("frames.climber", "frame id of the climber unit", text(frames::CLIMBER)),
-        key("frames.camera", "frame id of the camera (optical axes)", text(frames::CAMERA)),
-        key("frames.imu", "frame id of the IMU", text(frames::IMU)),
-        key("frames.volant", "frame id of the platform", text(frames::VOLANT)),
-        key("camera.position", "climber_from_camera: x, y, z [m]", None),
-        key("camera.orientation", "climber_from_camera: unit quaternion x, y, z, w", None),
-        key("imu.position", "volant_from_imu: x, y, z [m]", numbers(&[0.0; 3])),
-        key(
+        text("frames.world", "frame id of the world", frames::WORLD),
+        text("frames.climber", "frame id of the climber unit", frames::CLIMBER),
+        text("frames.camera", "frame id of the camera (optical axes)", frames::CAMERA),
+        text("frames.imu", "frame id of the IMU", frames::IMU),
+        text("frames.volant", "frame id of the platform", frames::VOLANT),
+        required("camera.position", "climber_from_camera: x, y, z [m]"),
+        required("camera.orientation", "climber_from_camera: unit quaternion x, y, z, w"),
+        numbers("imu.position", "volant_from_imu: x, y, z [m]", &[0.0; 3]),
+        numbers(
             "imu.orientation",
             "volant_from_imu: unit quaternion x, y, z, w",
-            numbers(&[0.0, 0.0, 0.0, 1.0]),
+            &[0.0, 0.0, 0.0, 1.0],
         ),
-        key(
+        number(
             "imu.accelerometer_noise_density",
             "white noise of the accelerometer [m/s^2/sqrt(Hz)]",
-            number(0.002),
+            0.002,
         ),
-        key(
+        number(
             "imu.gyroscope_noise_density",
             "white noise of the gyroscope [rad/s/sqrt(Hz)]",
-            number(0.00087),
+            0.00087,
         ),
-        key("markers.size", "side of each square [m]", None),
-        key("markers.red", "center of the red square in the volant frame: x, y, z [m]", None),
-        key("markers.green", "center of the green square in the volant frame: x, y, z [m]", None),
-        key("markers.blue", "center of the blue square in the volant frame: x, y, z [m]", None),
-        key("markers.yellow", "center of the yellow square in the volant frame: x, y, z [m]", None),
-        key(
+        key("markers.size", "side of each square [m]", ParameterKind::Double, None),
+        required("markers.red", "center of the red square in the volant frame: x, y, z [m]"),
+        required("markers.green", "center of the green square in the volant frame: x, y, z [m]"),
+        required("markers.blue", "center of the blue square in the volant frame: x, y, z [m]"),
+        required("markers.yellow", "center of the yellow square in the volant frame: x, y, z [m]"),
+        numbers(
             "markers.colors.red",
             "the red paper as the camera sees it: r, g, b of 0 to 255; empty: not calibrated",
-            numbers(&[]),
+            &[],
         ),
-        key("markers.colors.green", "the same of the green paper", numbers(&[])),
-        key("markers.colors.blue", "the same of the blue paper", numbers(&[])),
-        key("markers.colors.yellow", "the same of the yellow paper", numbers(&[])),
+        numbers("markers.colors.green", "the same of the green paper", &[]),
+        numbers("markers.colors.blue", "the same of the blue paper", &[]),
+        numbers("markers.colors.yellow", "the same of the yellow paper", &[]),
     ]
 }
 
@@ -75,7 +74,7 @@ pub(super) struct Reader(ParameterMap);
 
 impl Reader {
     pub(super) fn new(map: &ParameterMap) -> Self {
-        let defaults = rig_keys().into_iter().filter_map(|k| Some((k.name.to_owned(), k.default?)));
+        let defaults = rig_keys().into_iter().filter_map(|k| Some((k.name, k.default?)));
         Self(defaults.chain(map.clone()).collect())
     }
 

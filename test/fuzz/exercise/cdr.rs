@@ -2,7 +2,7 @@
 //! reader (bags) and by the middleware's (the wire), and what the nodes make of them before a core
 //! sees them.
 
-use climber_driver::{Climber, ClimberConfig, JointReading};
+use climber_driver::{Climber, ClimberConfig};
 use node_kit::{convert, parameters::messages};
 use rig_model::Frames;
 use std::{
@@ -183,9 +183,8 @@ fn joints(m: &JointState) {
         let climber = climber.get_or_insert_with(|| {
             Climber::new(ClimberConfig::default()).expect("its defaults are right")
         });
-        let stamp = convert::stamp(&m.header.stamp);
-        let reading = JointReading { stamp, names: m.name.clone(), positions: m.position.clone() };
-        climber.handle(&reading, stamp);
+        let reading = convert::joint_reading(m);
+        climber.handle(&reading, reading.stamp);
         while let Some(output) = climber.poll() {
             if let climber_driver::Output::Sample(sample) = output {
                 assert!(sample.world_from_climber.translation.vector.iter().all(|x| x.is_finite()));

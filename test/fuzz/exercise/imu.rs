@@ -76,11 +76,11 @@ pub fn driver(data: &[u8]) -> u32 {
     let mut last: Option<Stamp> = None;
     let (mut samples, mut finished) = (0, false);
     let mut rest = data;
-    driver.handle(Input::Tick { at });
+    driver.handle(Input::Tick, at);
     loop {
         while let Some(output) = driver.poll() {
             match output {
-                Output::Open { .. } => driver.handle(Input::Opened { at }),
+                Output::Open { .. } => driver.handle(Input::Opened, at),
                 Output::Sample(sample) => {
                     if let Some(imu) = &sample.imu {
                         assert!(
@@ -112,9 +112,9 @@ pub fn driver(data: &[u8]) -> u32 {
         at = at.plus_seconds(f64::from(pause).powi(2) * 1e-5);
         let (bytes, tail) = tail.split_at(usize::from(length).min(tail.len()));
         match bytes {
-            [] => driver.handle(Input::Tick { at }),
-            [0xEE, ..] => driver.handle(Input::Lost { at, reason: "fuzzed" }),
-            _ => driver.handle(Input::Bytes { bytes, arrival: at }),
+            [] => driver.handle(Input::Tick, at),
+            [0xEE, ..] => driver.handle(Input::Lost("fuzzed"), at),
+            _ => driver.handle(Input::Bytes(bytes), at),
         }
         rest = tail;
     }

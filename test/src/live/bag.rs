@@ -9,8 +9,7 @@ use super::{
 use bag::{BagError, BagWriter, Compression, Qos, Topic, WriteOptions};
 use nalgebra::Matrix6;
 use node_kit::convert;
-use rig_model::{ClimberSample, Stamp, topics::absolute as topics};
-use rig_simulator::inertial::Message as Sensed;
+use rig_model::{ClimberSample, Sample, Stamp, topics::absolute as topics};
 use std::{path::Path, sync::Arc};
 use volant_msgs::{Message, cdr};
 
@@ -113,16 +112,17 @@ pub fn from_sensors<M: Message>(
     let options = WriteOptions { replace: true, ..WriteOptions::default() };
     let mut run = Run::create(path, options, Stamp::default())?;
     let (mut imu, mut markers, mut poses) = (vec![], vec![], vec![]);
-    for (at, message) in scenario.simulated_sensors().record() {
-        match message {
-            Sensed::Imu(s) => {
+    for (at, sample) in scenario.simulated_sensors().record() {
+        match sample {
+            Sample::Imu(s) => {
                 imu.push((at, Arc::new(convert::imu_message(&frames.imu, &s, None, None))));
             }
-            Sensed::Markers(o) => {
+            Sample::Markers(o) => {
                 markers.push((at, Arc::new(convert::markers_message(&frames.camera, &o))));
             }
             // Received when it was read: its driver is beside it.
-            Sensed::Climber(s) => poses.push((s.stamp, Arc::new(climber(&s)))),
+            Sample::Climber(s) => poses.push((s.stamp, Arc::new(climber(&s)))),
+            Sample::Camera(_) => {}
         }
     }
     let info = convert::camera_message(&frames.camera, epoch, &scenario.camera);

@@ -9,7 +9,7 @@ use anyhow::{Context, Result, ensure};
 use marker_tracker::{Tracker, TrackerConfig};
 use pose_fusion::{Fusion, FusionConfig, Input, Model, Output};
 use rig_model::MarkerObservations;
-use rig_simulator::{inertial::Message, random::Random};
+use rig_simulator::random::Random;
 
 /// Tracks the images' markers.
 pub fn track(
@@ -37,16 +37,16 @@ pub fn track(
 /// All that arrives at the filter during a scenario with these markers, in order of arrival.
 pub fn record(scenario: &Scenario, observed: Vec<MarkerObservations>) -> Vec<Input> {
     let sensors = scenario.simulated_sensors();
-    let mut messages = sensors.imu();
-    messages.extend(sensors.climber());
+    let mut inputs = sensors.imu();
+    inputs.extend(sensors.climber());
     let mut random = Random::fork(scenario.sensors.seed, "image delay");
     let [shortest, longest] = scenario.sensors.image_delay;
     for observations in observed {
         let arrival = observations.stamp.plus_seconds(random.within(shortest, longest));
-        messages.push((arrival, Message::Markers(observations)));
+        inputs.push((arrival, Input::Markers(observations)));
     }
-    messages.sort_by_key(|(arrival, _)| *arrival);
-    messages.into_iter().map(|(_, message)| message.into()).collect()
+    inputs.sort_by_key(|(arrival, _)| *arrival);
+    inputs.into_iter().map(|(_, input)| input).collect()
 }
 
 /// The filter's poses, and those from one image each.

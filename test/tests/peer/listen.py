@@ -10,72 +10,39 @@ import json
 import sys
 import threading
 import time
-from dataclasses import dataclass
+from pathlib import Path
 
 from cyclonedds.core import Policy, Qos
 from cyclonedds.domain import DomainParticipant
-from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import array, float32, float64, int32, sequence, uint8, uint16, uint32
 from cyclonedds.internal import InvalidSample
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+sys.path.insert(0, str(Path(__file__).parents[3] / "msgs" / "tests"))
+from make_golden_cdr import Cyclone, own_definitions  # noqa: E402
 
 
-# CDR puts nested structures in line: a header is three fields, a pose seven numbers.
-@dataclass
-class PoseWithCovarianceStamped_(
-    IdlStruct, typename="geometry_msgs::msg::dds_::PoseWithCovarianceStamped_",
-):
-    sec: int32
-    nanosec: uint32
-    frame_id: str
-    pose: array[float64, 7]
-    covariance: array[float64, 36]
-
-
-@dataclass
-class Odometry_(IdlStruct, typename="nav_msgs::msg::dds_::Odometry_"):
-    sec: int32
-    nanosec: uint32
-    frame_id: str
-    child_frame_id: str
-    pose: array[float64, 7]
-    covariance: array[float64, 36]
-    twist: array[float64, 6]
-    twist_covariance: array[float64, 36]
-
-
-@dataclass
-class MarkerObservation_(IdlStruct, typename="volant_msgs::msg::dds_::MarkerObservation_"):
-    color: uint8
-    state: uint8
-    occluded_frames: uint16
-    x: float64
-    y: float64
-    covariance: array[float64, 4]
-    area: float32
-
-
-@dataclass
-class MarkerObservations_(IdlStruct, typename="volant_msgs::msg::dds_::MarkerObservations_"):
-    sec: int32
-    nanosec: uint32
-    frame_id: str
-    markers: sequence[MarkerObservation_]
+def with_covariance(pose):
+    p, q = pose.pose.position, pose.pose.orientation
+    return [p.x, p.y, p.z, q.x, q.y, q.z, q.w, *pose.covariance]
 
 
 TOPICS = {
     "volant/odometry": (
-        Odometry_,
-        lambda m: [*m.pose, *m.covariance, m.twist[0], m.twist[5]],
+        "nav_msgs/msg/Odometry",
+        lambda m: [*with_covariance(m.pose), m.twist.twist.linear.x, m.twist.twist.angular.z],
     ),
-    "volant/fused_pose": (PoseWithCovarianceStamped_, lambda m: [*m.pose, *m.covariance]),
+    "volant/fused_pose": (
+        "geometry_msgs/msg/PoseWithCovarianceStamped",
+        lambda m: with_covariance(m.pose),
+    ),
     "climber/markers": (
-        MarkerObservations_,
+        "volant_msgs/msg/MarkerObservations",
         lambda m: [
-        v for o in m.markers
-        for v in (o.color, o.state, o.occluded_frames, o.x, o.y, o.covariance[0])
+            v for o in m.markers
+            for v in (o.color, o.state, o.occluded_frames, o.x, o.y, o.covariance[0])
         ],
     ),
 }
@@ -83,6 +50,11 @@ TOPICS = {
 
 def main():
     domain, seconds = int(sys.argv[1]), float(sys.argv[2])
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for name, text in own_definitions():
+        if name.startswith("volant_msgs/msg/MarkerObservation"):
+            store.register(get_types_from_msg(text, name))
+    types = Cyclone(store)
     qos = Qos(
         Policy.Reliability.Reliable(duration(seconds=1)),
         Policy.Durability.Volatile,
@@ -92,7 +64,7 @@ def main():
     participant = DomainParticipant(domain)
     readers = []
     for name, (kind, values) in TOPICS.items():
-        topic = Topic(participant, f"rt/{name}", kind, qos=qos)
+        topic = Topic(participant, f"rt/{name}", types.struct(kind), qos=qos)
         readers.append((name, values, DataReader(participant, topic, qos=qos)))
     print(json.dumps({"ready": True}), flush=True)
     stop = threading.Event()
@@ -103,10 +75,11 @@ def main():
             for message in reader.take(N=200):
                 if isinstance(message, InvalidSample):
                     continue
+                header = message.header
                 line = {
                     "topic": name,
-                    "stamp": message.sec * 10**9 + message.nanosec,
-                    "frame": message.frame_id,
+                    "stamp": header.stamp.sec * 10**9 + header.stamp.nanosec,
+                    "frame": header.frame_id,
                     # As text: exact, and NaN has one.
                     "values": [repr(float(v)) for v in values(message)],
                 }

@@ -8,7 +8,7 @@ usage: publish.py cyclonedds|rclpy TOPIC     (the domain is ROS_DOMAIN_ID; TOPIC
 import os
 import sys
 import time
-from dataclasses import dataclass
+from pathlib import Path
 
 
 def with_rclpy(topic):
@@ -28,39 +28,25 @@ def with_rclpy(topic):
 def with_cyclonedds(topic):
     from cyclonedds.core import Policy, Qos
     from cyclonedds.domain import DomainParticipant
-    from cyclonedds.idl import IdlStruct
-    from cyclonedds.idl.types import float64, int32, uint32
     from cyclonedds.pub import DataWriter
     from cyclonedds.topic import Topic
     from cyclonedds.util import duration
+    from rosbags.typesys import Stores, get_typestore
 
-    # The scalars of geometry_msgs/TransformStamped in order: CDR puts nested structures in line.
-    @dataclass
-    class TransformStamped(
-        IdlStruct, typename="geometry_msgs::msg::dds_::TransformStamped_"
-    ):
-        sec: int32
-        nanosec: uint32
-        frame_id: str
-        child_frame_id: str
-        x: float64
-        y: float64
-        z: float64
-        qx: float64
-        qy: float64
-        qz: float64
-        qw: float64
+    sys.path.insert(0, str(Path(__file__).parents[3] / "msgs" / "tests"))
+    from make_golden_cdr import Cyclone
 
+    types, kind = Cyclone(get_typestore(Stores.ROS2_JAZZY)), "geometry_msgs/msg/TransformStamped"
     participant = DomainParticipant(int(os.environ["ROS_DOMAIN_ID"]))
     qos = Qos(Policy.Reliability.Reliable(duration(milliseconds=100)), Policy.History.KeepLast(10))
-    writer = DataWriter(participant, Topic(participant, "rt" + topic, TransformStamped, qos=qos))
+    writer = DataWriter(participant, Topic(participant, "rt" + topic, types.struct(kind), qos=qos))
+    zero = {"x": 0, "y": 0, "z": 0}
+    transform = {"translation": zero, "rotation": {**zero, "w": 1}}
     while True:
-        now = time.time_ns()
-        writer.write(
-            TransformStamped(
-                now // 10**9, now % 10**9, "world", "climber", 0, 0, 0, 0, 0, 0, 1
-            )
-        )
+        sec, nanosec = divmod(time.time_ns(), 10**9)
+        header = {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": "world"}
+        message = {"header": header, "child_frame_id": "climber", "transform": transform}
+        writer.write(types.message(kind, message))
         time.sleep(0.05)
 
 

@@ -80,6 +80,7 @@ pub enum Fed {
 pub type Decoded = Result<(Stamp, OwnedImage), String>;
 
 enum Slot {
+    Lost(Vec<String>),
     Message(BagMessage),
     Image(Receiver<Decoded>),
     Failed(BagError),
@@ -93,14 +94,9 @@ struct Job {
 /// Reader of a bag that reads ahead.
 pub struct Feed {
     slots: Option<Receiver<Slot>>,
-    shared: Arc<Shared>,
+    bytes_read: Arc<AtomicU64>,
+    losses: Vec<String>,
     threads: Vec<JoinHandle<()>>,
-}
-
-#[derive(Default)]
-struct Shared {
-    bytes_read: AtomicU64,
-    losses: Mutex<Vec<String>>,
 }
 
 impl Feed {
@@ -115,7 +111,7 @@ impl Feed {
         workers: usize,
     ) -> Result<Self, BagError> {
         let reader = BagReader::open(path)?;
-        let shared = Arc::new(Shared::default());
+        let bytes_read = Arc::new(AtomicU64::new(0));
         let (job_sender, jobs) = sync_channel::<Job>(AHEAD);
         let jobs = Arc::new(Mutex::new(jobs));
         let compressed = matches!(images, Some(ImageTopic::Compressed(_)));
@@ -125,11 +121,11 @@ impl Feed {
             threads.push(std::thread::spawn(move || decode_all(&jobs, compressed)));
         }
         let (slot_sender, slots) = sync_channel(8 * AHEAD);
-        let reading = shared.clone();
+        let reading = bytes_read.clone();
         threads.push(std::thread::spawn(move || {
             read_all(reader, images.as_ref(), &wanted, &slot_sender, &job_sender, &reading);
         }));
-        Ok(Self { slots: Some(slots), shared, threads })
+        Ok(Self { slots: Some(slots), bytes_read, losses: vec![], threads })
     }
 
     /// Returns the next item, and waits for its image to be decoded; `None` at the end.
@@ -137,27 +133,31 @@ impl Feed {
     /// # Errors
     /// The operating system fails to read the bag.
     pub fn take(&mut self) -> Result<Option<Fed>, BagError> {
-        let Some(slot) = self.slots.as_ref().and_then(|slots| slots.recv().ok()) else {
-            return Ok(None);
-        };
-        match slot {
-            Slot::Message(message) => Ok(Some(Fed::Message(message))),
-            Slot::Image(image) => {
-                let image = image.recv().unwrap_or_else(|_| Err("the decoder has ended".into()));
-                Ok(Some(Fed::Image(image)))
-            }
-            Slot::Failed(error) => Err(error),
+        while let Some(slot) = self.slots.as_ref().and_then(|slots| slots.recv().ok()) {
+            let fed = match slot {
+                Slot::Lost(losses) => {
+                    self.losses.extend(losses);
+                    continue;
+                }
+                Slot::Message(message) => Fed::Message(message),
+                Slot::Image(image) => {
+                    Fed::Image(image.recv().unwrap_or_else(|_| Err("the decoder has ended".into())))
+                }
+                Slot::Failed(error) => return Err(error),
+            };
+            return Ok(Some(fed));
         }
+        Ok(None)
     }
 
     /// Bytes of the bag read so far.
     pub fn bytes_read(&self) -> u64 {
-        self.shared.bytes_read.load(Ordering::Relaxed)
+        self.bytes_read.load(Ordering::Relaxed)
     }
 
-    /// Losses in the bag, after its end is reached.
-    pub fn losses(&self) -> Vec<String> {
-        self.shared.losses.lock().clone()
+    /// Losses in the bag before the last item that was returned; all of them at its end.
+    pub fn losses(&self) -> &[String] {
+        &self.losses
     }
 }
 
@@ -177,12 +177,20 @@ fn read_all(
     wanted: &[String],
     slots: &SyncSender<Slot>,
     jobs: &SyncSender<Job>,
-    shared: &Shared,
+    bytes_read: &AtomicU64,
 ) {
+    let mut reported = 0;
     loop {
-        let slot = match reader.next_message() {
+        let next = reader.next_message();
+        // In their place, so that a consumer that ends early knows the same ones each time.
+        let losses = reader.losses()[reported..].to_vec();
+        reported += losses.len();
+        if !losses.is_empty() && slots.send(Slot::Lost(losses)).is_err() {
+            return;
+        }
+        let slot = match next {
             Ok(Some(message)) => {
-                shared.bytes_read.store(reader.bytes_read(), Ordering::Relaxed);
+                bytes_read.store(reader.bytes_read(), Ordering::Relaxed);
                 if images.is_some_and(|i| i.name() == message.topic.name) {
                     let (done, image) = sync_channel(1);
                     if jobs.send(Job { data: message.data, done }).is_err() {
@@ -195,10 +203,7 @@ fn read_all(
                     continue;
                 }
             }
-            Ok(None) => {
-                shared.losses.lock().extend_from_slice(reader.losses());
-                return;
-            }
+            Ok(None) => return,
             Err(error) => Slot::Failed(error),
         };
         let failed = matches!(slot, Slot::Failed(_));

@@ -5,7 +5,7 @@ use super::{
     pipeline::{Counts, kind_of},
 };
 use bag::BagMessage;
-use climber_driver::{Climber, JointReading};
+use climber_driver::Climber;
 use marker_tracker::{Input, Output, Tracker, TrackerConfig};
 use node_kit::convert;
 use rig_model::{CameraModel, Rig, Sample, Stamp, topics};
@@ -103,7 +103,7 @@ impl FrontEnd {
         } else if is(&self.roles.transforms) {
             self.read(message).and_then(|m| self.transform(&m))
         } else if is(&self.roles.joints) {
-            return self.read(message).map_or(vec![], |m| self.joints(m, message.log_time));
+            return self.read(message).map_or(vec![], |m| self.joints(&m, message.log_time));
         } else if is(&self.roles.camera) {
             self.read(message).and_then(|m| self.camera_info(&m))
         } else if is(&self.roles.markers) {
@@ -139,15 +139,11 @@ impl FrontEnd {
     }
 
     /// Converts encoder readings as the driver does that receives them when the bag logged them.
-    fn joints(&mut self, message: msg::JointState, log_time: u64) -> Vec<Sample> {
+    fn joints(&mut self, message: &msg::JointState, log_time: u64) -> Vec<Sample> {
         let mut samples = vec![];
         let Some(climber) = &mut self.climber else { return samples };
-        let reading = JointReading {
-            stamp: convert::stamp(&message.header.stamp),
-            names: message.name,
-            positions: message.position,
-        };
-        climber.handle(&reading, Stamp::from_nanos(i64::try_from(log_time).unwrap_or(0)));
+        let received = Stamp::from_nanos(i64::try_from(log_time).unwrap_or(0));
+        climber.handle(&convert::joint_reading(message), received);
         while let Some(output) = climber.poll() {
             match output {
                 climber_driver::Output::Sample(sample) => samples.push(Sample::Climber(sample)),

@@ -132,7 +132,7 @@ pub fn replay(
         pipeline.handle(fed)?;
         progress(feed.bytes_read());
     }
-    let losses = feed.losses();
+    let losses = feed.losses().to_vec();
     if pipeline.counts().odometry == 0 {
         let why = why_silent(&pipeline, &losses);
         bail!("{}: the filter never started: {why}", input.display());

@@ -7,12 +7,12 @@ use bag::{BagWriter, Qos, Topic, WriteOptions};
 use nalgebra::{Isometry3, Matrix2, Matrix6, Translation3, UnitQuaternion, Vector2, Vector3};
 use node_kit::convert;
 use rig_model::{
-    CameraModel, Distortion, Frames, MarkerObservation, MarkerObservations, MarkerState, PerColor,
-    Rig, Stamp, topics::absolute,
+    CameraModel, Distortion, Frames, MarkerObservation, MarkerObservations, PerColor, Rig, Sample,
+    Stamp, topics::absolute,
 };
 use rig_simulator::{
     RIG_YAML,
-    inertial::{self, SensorConfig, Sensors},
+    inertial::{SensorConfig, Sensors},
     motion::{Motion, MotionConfig},
     random::Random,
 };
@@ -89,17 +89,17 @@ impl Simulated {
         let frames = Frames::default();
         let info = convert::camera_message(&frames.camera, config.epoch, &self.camera);
         put(&mut bag, absolute::CAMERA_INFO, config.epoch, &info);
-        for (at, message) in Sensors::new(motion, &self.rig, &self.camera, &config).record() {
-            match message {
-                inertial::Message::Imu(sample) => {
+        for (at, sample) in Sensors::new(motion, &self.rig, &self.camera, &config).record() {
+            match sample {
+                Sample::Imu(sample) => {
                     let message = convert::imu_message(&frames.imu, &sample, None, None);
                     put(&mut bag, absolute::IMU, at, &message);
                 }
-                inertial::Message::Markers(markers) => {
+                Sample::Markers(markers) => {
                     let message = convert::markers_message(&frames.camera, &markers);
                     put(&mut bag, absolute::MARKERS, at, &message);
                 }
-                inertial::Message::Climber(sample) => {
+                Sample::Climber(sample) => {
                     let pose = sample.world_from_climber;
                     let p = pose.translation;
                     let axes = [p.x, p.y, pose.rotation.scaled_axis().z];
@@ -110,6 +110,7 @@ impl Simulated {
                         put(&mut bag, absolute::CLIMBER_TRANSFORM, at, &message);
                     }
                 }
+                Sample::Camera(_) => {}
             }
         }
         bag.finish().unwrap();
@@ -187,13 +188,8 @@ impl Simulated {
             let markers = PerColor::from_fn(|color| {
                 let exact =
                     self.rig.markers.projected_centroid(color, &self.camera, &view).unwrap();
-                MarkerObservation {
-                    state: MarkerState::Detected,
-                    occluded_frames: 0,
-                    centroid: exact.pixel + Vector2::from_fn(|_, _| 0.05 * random.normal()),
-                    covariance: Matrix2::identity() * 0.0025,
-                    area: exact.area as f32,
-                }
+                let centroid = exact.pixel + Vector2::from_fn(|_, _| 0.05 * random.normal());
+                MarkerObservation::detected(centroid, Matrix2::identity() * 0.0025, exact.area)
             });
             let observed = MarkerObservations { stamp: stamp.plus_seconds(0.001), markers };
             let message = convert::markers_message(&frames.camera, &observed);

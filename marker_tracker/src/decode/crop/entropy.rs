@@ -144,23 +144,9 @@ pub(super) struct BitWriter {
 }
 
 impl BitWriter {
-    /// Codes of the DC differences of 0 to 11 bits, and their lengths: those of ITU-T T.81, table
-    /// K.3.
-    pub const COUNTS: [u8; 16] = [0, 1, 5, 1, 1, 1, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0];
-    const DC: [(u64, u32); 12] = [
-        (0b00, 2),
-        (0b010, 3),
-        (0b011, 3),
-        (0b100, 3),
-        (0b101, 3),
-        (0b110, 3),
-        (0b1110, 4),
-        (0b1_1110, 5),
-        (0b11_1110, 6),
-        (0b111_1110, 7),
-        (0b1111_1110, 8),
-        (0b1_1111_1110, 9),
-    ];
+    /// Codes of the DC differences of 0 to 11 bits: these numbers, in [`Self::DC_BITS`] bits.
+    pub const COUNTS: [u8; 16] = [0, 0, 0, 12, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0];
+    const DC_BITS: u32 = 4;
 
     /// Removes all bits.
     pub fn clear(&mut self) {
@@ -184,8 +170,10 @@ impl BitWriter {
     /// image of 8 bits has no such difference.
     pub fn copy(&mut self, segment: &Segment, block: &Block, difference: i32) -> Option<()> {
         let size = 32 - difference.unsigned_abs().leading_zeros();
-        let (code, length) = *Self::DC.get(size as usize)?;
-        self.put(code, length);
+        if size > 11 {
+            return None;
+        }
+        self.put(size.into(), Self::DC_BITS);
         let value = if difference < 0 { difference + (1 << size) - 1 } else { difference };
         self.put(value as u64, size);
         let mut at = block.start;
@@ -200,8 +188,7 @@ impl BitWriter {
     /// Appends a block with its predecessor's DC coefficient and no others; `end`: the code of the
     /// end of a block.
     pub fn empty(&mut self, (code, length): (u64, u32)) {
-        let (same, bits) = Self::DC[0];
-        self.put((same << length) | code, bits + length);
+        self.put(code, Self::DC_BITS + length);
     }
 
     /// Appends all bits, padded to a byte, to a JPEG, with stuffed bytes.

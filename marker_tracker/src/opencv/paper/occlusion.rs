@@ -39,13 +39,6 @@ pub(super) struct Sighting {
     pub flow: Option<Vector2<f64>>,
 }
 
-impl Sighting {
-    /// Displacement of the centroid where the missing area is at one side, px.
-    fn displacement(&self) -> f64 {
-        (self.missing - MISSING_NOISE).max(0.0) * self.area.sqrt()
-    }
-}
-
 /// Moves the places to the current image and returns the observations.
 ///
 /// A visible marker is where it was measured; a hidden one moves by the mean flow of the visible
@@ -70,7 +63,10 @@ pub(super) fn observe(
                     flow: sighting.flow.unwrap_or_default(),
                     occluded: Some(0),
                 };
-                let covariance = isotropic(DETECTED_SIGMA.hypot(sighting.displacement()));
+                // By so much the centroid moves where the missing area is at one side, px.
+                let displacement =
+                    (sighting.missing - MISSING_NOISE).max(0.0) * sighting.area.sqrt();
+                let covariance = isotropic(DETECTED_SIGMA.hypot(displacement));
                 MarkerObservation::detected(sighting.centroid, covariance, sighting.area)
             }
             None => {

@@ -110,8 +110,9 @@ pub fn figure_11(folder: &Path) -> Result<Made> {
         published: format!(
             "The published curves are an image without numbers; the markers beat ARToolKit \
              (template) and SIFT with RANSAC over angle and distance. ArUco and AprilTag replace \
-             ARToolKit here. The paper does not define a success; 5 mm and 1° is this program's choice. Far away the depth of so small a \
-             footprint rests on a tenth of a pixel: at {} m the lowest is {}.",
+             ARToolKit here. The paper does not define a success; 5 mm and 1° is this program's \
+             choice. Far away the depth of so small a footprint rests on a tenth of a pixel: at {} \
+             m the lowest is {}.",
             furthest.0, furthest.1
         ),
     })

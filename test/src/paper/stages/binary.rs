@@ -76,10 +76,11 @@ impl Stages {
             published: format!(
                 "On paper as muted as here the published threshold leaves nothing in {} of \
                  {layers} layers, so 0.75 of the layer's largest value replaces it. {} The \
-                 tracker adapts the direction in RGB in which each marker differs most from its surroundings, and \
-                 keeps the signal linear, because rounding couples the center of mass to the pixel \
-                 grid. The climber moves the camera, so the surroundings flow as well, as in the \
-                 paper, which compares a marker's flow with the mean flow of the frame.",
+                 tracker adapts the direction in RGB in which each marker differs most from its \
+                 surroundings, and keeps the signal linear, because rounding couples the center of \
+                 mass to the pixel grid. The climber moves the camera, so the surroundings flow as \
+                 well, as in the paper, which compares a marker's flow with the mean flow of the \
+                 frame.",
                 tally.literal_none,
                 match tally.most_stray {
                     (count, Some(color)) => format!(

@@ -10,7 +10,7 @@ use anyhow::{Context, Result, ensure};
 use clap::Args;
 use indicatif::ProgressBar;
 use node_kit::outln;
-use rig_model::Distortion;
+use rig_model::{Distortion, median};
 use std::{
     path::PathBuf,
     sync::{
@@ -189,9 +189,7 @@ fn print(calibration: &Calibration) -> Result<()> {
     for (name, error) in &calibration.rejected {
         outln!("ignored: {name} ({error:.3} px)")?;
     }
-    let mut errors: Vec<f64> = calibration.views.iter().map(|v| v.1).collect();
-    errors.sort_by(f64::total_cmp);
-    let median = errors[errors.len() / 2];
+    let median = median(calibration.views.iter().map(|v| v.1).collect()).unwrap_or_default();
     for (name, error, _) in &calibration.views {
         if *error > 3.0 * median {
             outln!(

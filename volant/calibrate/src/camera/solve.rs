@@ -8,7 +8,7 @@ use opencv::{
     core::{self, Mat, Point2f, Point3f, Size, TermCriteria, Vector},
     prelude::*,
 };
-use rig_model::{CameraModel, Distortion};
+use rig_model::{CameraModel, Distortion, median};
 
 /// Lens model by its coefficients, with its name in camera_info.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -73,9 +73,8 @@ pub fn calibrate(
     let mut rejected = Vec::new();
     loop {
         let solution = solve(board, &used, lens)?;
-        let mut errors: Vec<f64> = solution.views.iter().map(|v| v.1).collect();
-        errors.sort_by(f64::total_cmp);
-        let limit = reject * errors[errors.len() / 2];
+        let errors = solution.views.iter().map(|v| v.1).collect();
+        let limit = reject * median(errors).unwrap_or_default();
         let worst = solution.views.iter().enumerate().max_by(|a, b| a.1.1.total_cmp(&b.1.1));
         match worst {
             Some((index, (name, error, _))) if *error > limit && used.len() > 8 => {

@@ -1,11 +1,11 @@
 //! The acceptance run: a replay with the finished rig file, and `volant check`.
 
-use super::{Walk, motion::MOTION};
-use crate::settings::{self, BagTopics};
+use super::{Walk, inputs, motion::MOTION};
+use crate::settings;
 use anyhow::Result;
 use bag::{BagReader, Compression};
 use node_kit::outln;
-use rig_model::topics;
+use rig_model::{median, topics};
 use std::process::Command;
 use volant::replay::{ReplayOptions, decoding_threads, replay};
 use volant_msgs::{
@@ -20,12 +20,13 @@ const SETTLING: f64 = 2.0;
 pub fn acceptance(walk: &mut Walk) -> Result<()> {
     outln!("  Record half a minute of ordinary work, other than the recordings before.")?;
     let bag = walk.recording("acceptance", &MOTION, 30.0)?;
+    let topics = walk.topics(&bag, inputs::MOTION)?;
     let output = walk.file("acceptance_replay.mcap");
     let options = ReplayOptions {
         input: bag.clone(),
         output: output.clone(),
         overwrite: true,
-        cores: settings::read(&walk.rig, &[], &BagTopics::default())?,
+        cores: settings::read(&walk.rig, &[], &topics)?,
         compression: Compression::default(),
         workers: decoding_threads(),
         smooth: false,
@@ -41,7 +42,11 @@ pub fn acceptance(walk: &mut Walk) -> Result<()> {
     }
     // 0: nothing is wrong, 1: something is.
     let mut check = Command::new(std::env::current_exe()?);
-    let status = check.arg("check").arg(&bag).arg("--rig").arg(&walk.rig).status()?;
+    check.arg("check").arg(&bag).arg("--rig").arg(&walk.rig);
+    for remap in &topics.remap {
+        check.args(["--remap", &remap.to_string()]);
+    }
+    let status = check.status()?;
     match status.code() {
         Some(0) => walk.check(true, "volant check", "nothing is wrong"),
         Some(1) => walk.check(false, "volant check", "something is wrong, see its table"),
@@ -87,10 +92,9 @@ fn judge(walk: &mut Walk, output: &std::path::Path) -> Result<()> {
         "status",
         format!("valid {share:.1} % of the time (98 at least){why}"),
     )?;
-    sigmas.sort_by(f64::total_cmp);
-    if let Some(median) = sigmas.get(sigmas.len() / 2) {
+    if let Some(median) = median(sigmas) {
         let text = format!("standard deviation {:.2} mm (20 at most)", 1e3 * median);
-        walk.check(*median < 0.02, "position", text)?;
+        walk.check(median < 0.02, "position", text)?;
     }
     let share = percent(used, measured);
     walk.check(share > 95.0, "gating", format!("{share:.1} % of the markers used (95 at least)"))?;

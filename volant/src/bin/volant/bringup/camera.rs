@@ -1,13 +1,13 @@
 //! Steps of the camera: images, exposure and colors; the lens.
 
-use super::{Walk, dialog};
+use super::{Walk, dialog, inputs::CAMERA};
 use crate::calibrate::{self, Output};
-use anyhow::{Context, Result, anyhow};
-use bag::{BagReader, BagSummary};
+use anyhow::{Context, Result};
+use bag::BagReader;
 use node_kit::{convert, outln};
-use rig_model::{CameraModel, Stamp, topics};
+use rig_model::{CameraModel, Stamp, median, topics};
 use std::{path::Path, process::Command};
-use volant::replay::{Fed, Feed, ImageTopic, TopicNames};
+use volant::replay::{Fed, Feed, ImageTopic};
 use volant_msgs::{
     Message, cdr,
     msg::MarkerObservations,
@@ -27,27 +27,17 @@ struct Stream {
     size: Option<(u32, u32)>,
 }
 
-fn read(path: &Path) -> Result<Stream> {
-    let summary = BagReader::summary(path)?;
-    let names = TopicNames::default();
-    let choose = |name, kind| -> Result<Option<String>> {
-        let found = names.choose(&summary, &[(name, kind)]).map_err(|_| {
-            let (found, ours) = (summary.topics_of(kind).join(", "), names.resolve(name));
-            anyhow!("{}: several topics of {kind}: {found}; record {ours} only", path.display())
-        });
-        Ok(found?.map(|(_, name)| name))
+fn read(walk: &mut Walk, path: &Path) -> Result<Stream> {
+    let (names, summary) = (walk.topics(path, CAMERA)?.names(), BagReader::summary(path)?);
+    let only = |name, kind| -> Result<Option<String>> {
+        Ok(names.choose(&summary, &[(name, kind)])?.map(|(_, name)| name))
     };
-    let images = images_of(&summary, &names)?;
+    let images = ImageTopic::of(&summary, &names)?;
     let timed = match &images {
         Some(images) => Some(images.name().to_owned()),
-        None => choose(topics::MARKERS, MarkerObservations::TYPE_NAME)?,
+        None => only(topics::MARKERS, MarkerObservations::TYPE_NAME)?,
     };
-    let beside = images.as_ref().map(|images| calibrate::colors::camera_info(images.name()));
-    let known = summary.topics_of(CameraInfo::TYPE_NAME);
-    let camera = match beside.filter(|beside| known.contains(&beside.as_str())) {
-        Some(beside) => Some(beside),
-        None => choose(topics::CAMERA_INFO, CameraInfo::TYPE_NAME)?,
-    };
+    let camera = only(topics::CAMERA_INFO, CameraInfo::TYPE_NAME)?;
     let mut stream = Stream { images, ..Stream::default() };
     let mut bag = BagReader::open(path)?;
     let mut start = None;
@@ -78,19 +68,6 @@ fn read(path: &Path) -> Result<Stream> {
     Ok(stream)
 }
 
-/// The topic with the images of the rig's camera; where a bag has several cameras and none of them
-/// has its name, the operator chooses one.
-fn images_of(bag: &BagSummary, names: &TopicNames) -> Result<Option<ImageTopic>> {
-    if let Ok(images) = ImageTopic::of(bag, names) {
-        return Ok(images);
-    }
-    let all = ImageTopic::all(bag);
-    let topics: Vec<&str> = all.iter().map(ImageTopic::name).collect();
-    let question = format!("  Images on {}. The topic of the rig's camera", topics.join(", "));
-    let chosen = dialog::choose(&question, &topics)?;
-    Ok(all.into_iter().find(|images| images.name() == chosen))
-}
-
 /// Rate, stamps, exposure, colors.
 pub fn camera(walk: &mut Walk) -> Result<()> {
     outln!(
@@ -100,14 +77,13 @@ pub fn camera(walk: &mut Walk) -> Result<()> {
     )?;
     let topics = [topics::COMPRESSED_IMAGE, topics::IMAGE, topics::CAMERA_INFO, topics::MARKERS];
     let bag = walk.recording("camera", &topics, 10.0)?;
-    let stream = read(&bag)?;
-    let mut steps: Vec<f64> = stream.times.windows(2).map(|w| w[1].0 - w[0].0).collect();
-    if steps.is_empty() {
+    let stream = read(walk, &bag)?;
+    let steps: Vec<f64> = stream.times.windows(2).map(|w| w[1].0 - w[0].0).collect();
+    let delays = stream.times.iter().map(|(stamp, logged)| logged - stamp).collect();
+    let (Some(usual), Some(delay)) = (median(steps.clone()), median(delays)) else {
         return walk.check(false, "images", "none in the recording; is the driver running?");
-    }
+    };
     walk.check(steps.iter().all(|s| *s > 0.0), "order", "each stamp is after the one before")?;
-    steps.sort_by(f64::total_cmp);
-    let usual = steps[steps.len() / 2];
     let rate = 1.0 / usual;
     walk.check(rate > 14.0, "rate", format!("{rate:.1} images/s (15 at least)"))?;
     let lost = steps.iter().filter(|s| **s > 1.5 * usual).count();
@@ -117,9 +93,7 @@ pub fn camera(walk: &mut Walk) -> Result<()> {
         "gaps",
         format!("{lost} of {} ({share:.1} %; 2 at most)", steps.len()),
     )?;
-    let mut delays: Vec<f64> = stream.times.iter().map(|(stamp, logged)| logged - stamp).collect();
-    delays.sort_by(f64::total_cmp);
-    let delay = 1e3 * delays[delays.len() / 2];
+    let delay = 1e3 * delay;
     walk.check(
         (-5.0..300.0).contains(&delay),
         "stamps",
@@ -228,7 +202,7 @@ pub fn intrinsics(walk: &mut Walk) -> Result<()> {
         outln!("  Give the file to the camera's driver (camera_info_url) and restart it.")?;
     }
     let bag = walk.recording("camera_info", &[topics::CAMERA_INFO, topics::IMAGE], 3.0)?;
-    let stream = read(&bag)?;
+    let stream = read(walk, &bag)?;
     match stream.camera {
         Some(camera) => {
             let (f, (width, height)) = (camera.focal_lengths(), camera.size());

@@ -3,6 +3,7 @@
 mod acceptance;
 mod camera;
 mod dialog;
+mod inputs;
 mod motion;
 mod report;
 mod setup;
@@ -89,6 +90,8 @@ impl Step {
 /// A bring-up under way.
 struct Walk {
     rig: PathBuf,
+    /// Name of the present step.
+    step: String,
     /// Recordings, figures and sheets that the steps make.
     folder: PathBuf,
     state: State,
@@ -215,7 +218,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     // Nothing is written before the first answer.
     setup::read(&arguments.rig)?;
-    let mut walk = Walk { rig: arguments.rig.clone(), folder, state, items: vec![], wrote: vec![] };
+    let (rig, step) = (arguments.rig.clone(), String::new());
+    let mut walk = Walk { rig, step, folder, state, items: vec![], wrote: vec![] };
     let mut steps = Step::value_variants().iter().copied();
     let walked = match arguments.step {
         Some(step) => take(step, &mut walk, &state_file),
@@ -261,6 +265,7 @@ fn take(step: Step, walk: &mut Walk, state_file: &Path) -> Result<()> {
     let number = steps.iter().position(|s| *s == step).unwrap_or(0) + 1;
     let from = |first: usize| steps.iter().skip(first).map(|s| s.name());
     outln!("\n{number}/{} {name}", steps.len())?;
+    walk.step.clone_from(&name);
     loop {
         (walk.items, walk.wrote) = (vec![], vec![]);
         let answer = choose("  Enter: begin, s: skip, q: quit", &["", "s"])?;

@@ -1,10 +1,7 @@
 //! Steps in which the rig moves: encoders, mountings, clocks.
 
-use super::{Walk, dialog, setup};
-use crate::{
-    calibrate::{self, Output},
-    settings::BagTopics,
-};
+use super::{Walk, dialog, inputs, setup};
+use crate::calibrate::{self, Output};
 use anyhow::Result;
 use nalgebra::Vector3;
 use node_kit::outln;
@@ -54,6 +51,7 @@ pub fn encoders(walk: &mut Walk) -> Result<()> {
     })?
     .into();
     let bag = walk.recording("jog", &MOTION[..4], 60.0)?;
+    let topics = walk.topics(&bag, inputs::JOG)?;
     let found = calibrate::climber::run(&calibrate::climber::Arguments {
         bag: Some(bag),
         live: false,
@@ -63,7 +61,7 @@ pub fn encoders(walk: &mut Walk) -> Result<()> {
         node: calibrate::climber::NODE.to_owned(),
         platform: Some(platform),
         camera: true,
-        topics: BagTopics::default(),
+        topics,
         output: Output::default(),
     })?;
     for (axis, name) in found.axes.iter().zip(AXES) {
@@ -101,6 +99,7 @@ pub fn mounting(walk: &mut Walk) -> Result<()> {
          climber drives along both rails and turns."
     )?;
     let bag = walk.recording("swing", &MOTION, 60.0)?;
+    let topics = walk.topics(&bag, inputs::MOTION)?;
     // The jog has determined the camera's mounting.
     let encoders = walk.state.steps.get("encoders");
     let jogged = encoders.is_some_and(|s| s.items.iter().any(|i| i.name == CORRECTED));
@@ -108,7 +107,7 @@ pub fn mounting(walk: &mut Walk) -> Result<()> {
         bag,
         rig: walk.rig.clone(),
         hold_camera: jogged,
-        topics: BagTopics::default(),
+        topics,
         output: Output::default(),
     })?;
     let clock = |name: &str| {

@@ -1,6 +1,6 @@
 //! Steps of the first hour: measured lengths, printed markers, the IMU at rest.
 
-use super::{Walk, dialog};
+use super::{Walk, dialog, inputs};
 use crate::{
     calibrate::{self, Output, read_rig},
     markers, settings,
@@ -141,7 +141,8 @@ pub fn imu(walk: &mut Walk) -> Result<()> {
     outln!("  Lay the platform on the floor, fans off, and record the IMU for a minute.")?;
     let bag = walk.recording("rest", &[topics::IMU], 60.0)?;
     let mut losses = vec![];
-    let samples = calibrate::imu::read(&bag, None, &mut losses)?;
+    let topic = walk.topics(&bag, &[inputs::IMU])?.names().resolve(topics::IMU);
+    let samples = calibrate::imu::read(&bag, Some(&topic), &mut losses)?;
     for loss in losses {
         walk.note("recording", loss)?;
     }
@@ -172,7 +173,7 @@ pub fn imu(walk: &mut Walk) -> Result<()> {
     let noise = calibrate::imu::run(&calibrate::imu::Arguments {
         bag,
         rig: walk.rig.clone(),
-        topic: None,
+        topic: Some(topic),
         plot: Some(plot.clone()),
         output: Output { out: None, overwrite: true },
     })?;

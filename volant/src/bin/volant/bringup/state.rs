@@ -73,6 +73,9 @@ pub struct Record {
 pub struct State {
     pub steps: BTreeMap<String, Record>,
     pub recordings: BTreeMap<String, PathBuf>,
+    /// Topics that the operator chose as the rig's, with the step that asked.
+    #[serde(default)]
+    pub topics: BTreeMap<String, String>,
     /// Clocks of the camera against the IMU's and of the climber against the camera's, and their
     /// standard deviations, ms.
     pub clocks: Option<[(f64, f64); 2]>,

@@ -6,9 +6,7 @@ use anyhow::{Context, Result, bail};
 use bag::{BagReader, recording::read_messages};
 use nalgebra::{UnitQuaternion, Vector3};
 use node_kit::{convert, outln};
-use rig_calibration::climber::{
-    AXES, ClimberCalibration, Jog, JointReadings, Value, calibrate_climber,
-};
+use rig_calibration::climber::{AXES, ClimberCalibration, Jog, Value, calibrate_climber};
 use rig_model::{Rig, topics};
 use ros_parameters::{ParameterFile, ParameterMap, ParameterValue};
 use std::path::{Path, PathBuf};
@@ -133,11 +131,8 @@ fn find(
         let topic = names.resolve(topics::JOINT_STATES);
         bail!("{shown}: no sensor_msgs/JointState in it; record {topic}");
     };
-    let joints = read_messages(path, &topic, losses, |_, state: JointState| JointReadings {
-        stamp: convert::stamp(&state.header.stamp),
-        names: state.name,
-        positions: state.position,
-    })?;
+    let joints =
+        read_messages(path, &topic, losses, |_, m: JointState| convert::joint_reading(&m))?;
     let cores = Cores { names: names.clone(), ..Cores::of(rig) };
     let (camera, markers) = read_markers(path, &cores, losses)?;
     // Joints to prefer where two measure the same axis: those in use.

@@ -198,7 +198,7 @@ fn bag(
             break;
         }
     }
-    losses.extend(feed.losses());
+    losses.extend_from_slice(feed.losses());
     losses.extend(counts.warning_lines());
     ensure!(used > 0, "{shown}: no usable image");
     Ok(())
