@@ -129,15 +129,23 @@ impl State {
         if seconds == 0.0 {
             return;
         }
+        self.add(&(self.rates(reading, gravity) * -seconds));
+    }
+
+    /// Returns the derivative of the nominal state by time: velocity and acceleration (m/s, m/s²),
+    /// angular velocity about world axes (rad/s), velocity and acceleration of the climber; zero
+    /// for the rest. `reading` is the IMU's at the state, `gravity` in m/s².
+    pub fn rates(&self, reading: &ImuReading, gravity: f64) -> Error {
         let motion = self.motion(reading);
-        let force = self.attitude * motion.specific_force;
-        let rate = self.attitude * motion.angular_velocity;
-        let acceleration = Vector3::new(force.x, force.y, force.z - gravity);
-        self.position -= self.velocity * seconds;
-        self.velocity -= acceleration * seconds;
-        self.attitude = UnitQuaternion::from_scaled_axis(rate * -seconds) * self.attitude;
-        self.climber -= self.climber_rate * seconds;
-        self.climber_rate -= self.climber_acceleration * seconds;
+        let weight = Vector3::new(0.0, 0.0, gravity);
+        let mut rates = Error::zeros();
+        let mut put = |i: usize, v: Vector3<f64>| rates.fixed_rows_mut::<3>(i).copy_from(&v);
+        put(POSITION, self.velocity);
+        put(VELOCITY, self.attitude * motion.specific_force - weight);
+        put(ATTITUDE, self.attitude * motion.angular_velocity);
+        put(CLIMBER, self.climber_rate);
+        put(CLIMBER_RATE, self.climber_acceleration);
+        rates
     }
 
     /// Returns whether every number is finite and every variance not negative.

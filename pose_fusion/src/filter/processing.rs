@@ -15,6 +15,7 @@ use crate::{
         sanity,
     },
     initialization::from_image,
+    input::climber_track::JERK_LIMIT,
     measurements::{
         Outcome,
         markers::{ATTITUDE_KNOWN, Image, ImageInnovation},
@@ -28,8 +29,6 @@ use crate::{
 use nalgebra::Vector3;
 use rig_model::Stamp;
 
-/// Jerk of a climber whose encoders are silent or not trusted, in units of the configured density.
-const FREE_JERK: f64 = 250.0;
 /// NIS of four markers (8 degrees of freedom) above which the platform was struck: where all passed
 /// the gates (0.999 quantile), and where some did not (0.9999 quantile).
 const SHOCK_NIS: f64 = 26.12;
@@ -130,7 +129,7 @@ impl Filter {
         let at = next.or(self.arrival.end());
         let missing = at.and_then(|at| self.encoders_missing_for(at)).is_some();
         let free = self.trust.is_suspended() || missing;
-        let factor = if free { FREE_JERK } else { self.climber.jerk_factor };
+        let factor = if free { JERK_LIMIT } else { self.climber.jerk_factor };
         let densities = self.imu.densities(&self.setup.rig.imu);
         ProcessNoise {
             force: densities.force,

@@ -150,7 +150,7 @@ impl Filter {
         let best = found
             .iter()
             .min_by(|a, b| tilted(a).total_cmp(&tilted(b)))
-            .filter(|b| b.pixel_cost < 40.0)?;
+            .filter(|b| b.pixel_cost < from_image::LARGEST_COST)?;
         let turn = world_from_camera.rotation.to_rotation_matrix();
         let mut to_world = Matrix6::zeros();
         to_world.fixed_view_mut::<3, 3>(0, 0).copy_from(turn.matrix());

@@ -33,7 +33,7 @@ use rig_model::{
 };
 
 /// Largest cost of an image whose markers fit a pose: 2n − 6 (+ 2 for the tilt) degrees of freedom.
-const LARGEST_COST: f64 = 40.0;
+pub const LARGEST_COST: f64 = 40.0;
 /// Largest squared misfit of four markers that fit: χ² quantile (0.9999), 2 degrees of freedom.
 const LARGEST_MISFIT: f64 = 18.42;
 /// A pose that fits worse than another by this (χ², 5 sigma) is not the right one.

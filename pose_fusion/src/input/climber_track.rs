@@ -34,8 +34,8 @@ const MOVING_SPAN: f64 = 0.2;
 const LARGE_JERK: f64 = 10.0;
 /// Factor on the jerk of a climber that stands: it will set off.
 const SETTING_OFF: f64 = 25.0;
-/// Largest factor on the jerk.
-const JERK_LIMIT: f64 = 250.0;
+/// Largest factor on the jerk: that of a climber whose encoders are silent or not trusted.
+pub const JERK_LIMIT: f64 = 250.0;
 
 /// Encoder reading: its stamp; x, y (m) and turn (rad); height and tilt.
 type Reading = (Stamp, Vector3<f64>, ClimberHeightTilt);

@@ -13,7 +13,7 @@ use crate::{
     },
     measurements::geometry::Geometry,
 };
-use nalgebra::{Isometry3, Matrix3, Matrix6, SMatrix, SVector, Vector3};
+use nalgebra::{Isometry3, Matrix3, Matrix6, SMatrix, SVector};
 use rig_model::Stamp;
 
 /// Entries of the error that the odometry consists of.
@@ -109,14 +109,8 @@ fn covariance_at_imu_time(
         let columns = state.sensitivity.fixed_columns::<3>(i).map(f64::from);
         sensitivity.fixed_rows_mut::<3>(3 * a).copy_from(&columns.transpose());
     }
-    let measured = state.motion(reading);
-    let acceleration =
-        state.attitude * measured.specific_force - Vector3::new(0.0, 0.0, settings.gravity);
-    let rate = state.attitude * measured.angular_velocity;
-    let mut motion = SVector::<f64, 12>::zeros();
-    motion.fixed_rows_mut::<3>(0).copy_from(&state.velocity);
-    motion.fixed_rows_mut::<3>(3).copy_from(&acceleration);
-    motion.fixed_rows_mut::<3>(6).copy_from(&rate);
+    let rates = state.rates(reading, settings.gravity);
+    let motion = SVector::<f64, 12>::from_fn(|k, _| rates[USED[k / 3] + k % 3]);
     let offset = state.covariance[(TIME_OFFSET, TIME_OFFSET)];
     p += motion * motion.transpose() * offset
         - with_offset * motion.transpose()

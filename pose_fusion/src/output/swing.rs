@@ -17,9 +17,8 @@ use crate::{
 use nalgebra::{Isometry3, Matrix6, Point3, SMatrix, UnitQuaternion, Vector3, Vector6};
 use rig_model::Stamp;
 
-/// Steps of the differences: of the state (m, rad, per s) and of time, s.
+/// Step of the differences (m, rad, per s).
 const STEP: f64 = 1e-6;
-const TIME_STEP: f64 = 1e-5;
 /// Entries of the error that the swing depends on.
 const USED: [usize; 6] = [POSITION, VELOCITY, ATTITUDE, GYROSCOPE_BIAS, CLIMBER, CLIMBER_RATE];
 
@@ -131,12 +130,11 @@ pub fn swing(
     pendulum: &PendulumConfig,
     settings: &Settings,
 ) -> Swing {
-    let measured = state.motion(reading);
     let motion = Motion {
         position: state.position,
         velocity: state.velocity,
         attitude: state.attitude,
-        angular_velocity: measured.angular_velocity,
+        angular_velocity: state.motion(reading).angular_velocity,
         climber: state.climber,
         climber_rate: state.climber_rate,
         rest,
@@ -146,19 +144,6 @@ pub fn swing(
         climber_attachment: pendulum.climber_attachment.into(),
     };
     let values = motion.values();
-    let gravity = Vector3::new(0.0, 0.0, settings.gravity);
-    let moved = |seconds: f64| {
-        let force = state.attitude * measured.specific_force;
-        let turned = state.attitude * measured.angular_velocity * seconds;
-        Motion {
-            position: state.position + state.velocity * seconds,
-            velocity: state.velocity + (force - gravity) * seconds,
-            attitude: UnitQuaternion::from_scaled_axis(turned) * state.attitude,
-            climber: state.climber + state.climber_rate * seconds,
-            climber_rate: state.climber_rate + state.climber_acceleration * seconds,
-            ..motion
-        }
-    };
     let mut jacobian = SMatrix::<f64, 6, N>::zeros();
     for entry in USED {
         for axis in 0..3 {
@@ -167,8 +152,7 @@ pub fn swing(
         }
     }
     // The error at IMU time: δx − ẋ δτ.
-    let [ahead, behind] = [TIME_STEP, -TIME_STEP].map(|s| moved(s).values());
-    let by_time = (ahead - behind) / (2.0 * TIME_STEP);
+    let by_time = jacobian * state.rates(reading, settings.gravity);
     jacobian.set_column(TIME_OFFSET, &-by_time);
     let covariance = covariance(state, &jacobian, settings);
     let imu_from_volant = &geometry.imu_from_volant;
