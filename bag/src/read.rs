@@ -207,7 +207,9 @@ impl BagReader {
             self.horizon = None;
             return Ok(());
         };
-        if let Some(group) = file.next_group()? {
+        let group = file.next_group();
+        self.losses.append(&mut file.losses);
+        if let Some(group) = group? {
             // An empty chunk does not move the horizon.
             if let Some(earliest) = group.iter().map(|m| m.log_time).min() {
                 self.horizon = Some(earliest);
@@ -218,7 +220,6 @@ impl BagReader {
                 self.read += 1;
             }
         } else {
-            self.losses.append(&mut file.losses);
             self.bytes_before += file.offset;
             let next = self.waiting.pop_front();
             self.current = next.map(|path| FileReader::open(&path)).transpose()?;

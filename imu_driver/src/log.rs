@@ -200,4 +200,12 @@ mod tests {
         let (text, _) = table(&log, None).unwrap();
         assert_eq!(text, format!("{CSV_HEADER}\n258,9,,,,,,,,,,\n"));
     }
+
+    #[test]
+    fn a_frame_that_is_cut_off_is_skipped() {
+        let cut = frame(MessageId::MT_DATA2, &[0x10, 0x20, 2, 1, 2]);
+        let log = [&cut[..], &cut[..6]].concat();
+        let (_, counts) = table(&log, None).unwrap();
+        assert_eq!((counts.rows, counts.parser.skipped_bytes), (1, 6));
+    }
 }

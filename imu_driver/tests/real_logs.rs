@@ -10,10 +10,13 @@
 )]
 
 use imu_driver::{
-    log::frames_of,
+    log::{decode_to_csv, frames_of},
     protocol::{Attitude, Decoder, GlobalFrame, Measurement, MessageId, frame},
 };
-use std::{collections::BTreeMap, path::PathBuf};
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
 
 fn recordings() -> Option<PathBuf> {
     Some(test_support::recordings()?.join("data/xsens"))
@@ -46,6 +49,13 @@ fn numbers(lines: &[String]) -> Vec<f64> {
     lines.iter().map(|l| l.rsplit(':').next().unwrap().parse().unwrap()).collect()
 }
 
+/// Bytes and reference of one of the recordings.
+fn recording(folder: &Path, log: usize) -> (Vec<u8>, Vec<Reference>) {
+    let folder = folder.join(log.to_string());
+    let golden = std::fs::read_to_string(folder.join("output.golden")).unwrap();
+    (std::fs::read(folder.join("output.bin")).unwrap(), reference(&golden))
+}
+
 /// Numbers of one kind of data.
 fn theirs(reference: &Reference, name: &str) -> Option<Vec<f64>> {
     let mut kinds = reference.iter();
@@ -70,9 +80,7 @@ fn every_used_value_of_five_recordings_equals_the_reference() {
     let Some(folder) = recordings() else { return };
     let mut compared = 0;
     for log in 1..=5 {
-        let folder = folder.join(log.to_string());
-        let bytes = std::fs::read(folder.join("output.bin")).unwrap();
-        let references = reference(&std::fs::read_to_string(folder.join("output.golden")).unwrap());
+        let (bytes, references) = recording(&folder, log);
         let mut ours = Vec::new();
         let mut decoder = Decoder::default();
         let counts = frames_of(&bytes, |f| ours.push(decoder.decode(&f).unwrap().unwrap()));
@@ -104,6 +112,35 @@ fn every_used_value_of_five_recordings_equals_the_reference() {
     }
     println!("{compared} values or vectors of 500 messages are equal to the reference");
     assert!(compared > 3000, "{compared}");
+}
+
+#[test]
+fn the_csv_of_every_recording_has_one_row_per_message_with_its_values() {
+    let Some(folder) = recordings() else { return };
+    for log in 1..=5 {
+        let (bytes, references) = recording(&folder, log);
+        let mut table = Vec::new();
+        let counts = decode_to_csv(&bytes, None, &mut table).unwrap();
+        assert_eq!((counts.rows, counts.unreadable), (100, 0));
+        let table = String::from_utf8(table).unwrap();
+        for (row, r) in table.lines().skip(1).zip(&references) {
+            let cells: Vec<&str> = row.split(',').collect();
+            assert_eq!(cells.len(), 12);
+            assert_eq!(cells[0], r["PacketCounter"][0]);
+            for (at, name, n) in
+                [(2, "Acceleration", 3), (5, "RateOfTurn", 3), (8, "Quaternion", 4)]
+            {
+                let cells = &cells[at..at + n];
+                match theirs(r, name) {
+                    Some(values) => {
+                        let ours: Vec<f64> = cells.iter().map(|c| c.parse().unwrap()).collect();
+                        assert_eq!(ours, values);
+                    }
+                    None => assert!(cells.iter().all(|c| c.is_empty())),
+                }
+            }
+        }
+    }
 }
 
 #[test]

@@ -20,7 +20,13 @@ pub enum Level {
 
 impl fmt::Display for Level {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(&format!("{self:?}").to_uppercase())
+        f.pad(match self {
+            Self::Debug => "DEBUG",
+            Self::Info => "INFO",
+            Self::Warn => "WARN",
+            Self::Error => "ERROR",
+            Self::Fatal => "FATAL",
+        })
     }
 }
 
@@ -28,9 +34,13 @@ impl FromStr for Level {
     type Err = ();
 
     fn from_str(text: &str) -> Result<Self, ()> {
-        let text = text.to_ascii_uppercase();
-        let name = if text == "WARNING" { "WARN" } else { text.as_str() };
-        let all = [Self::Debug, Self::Info, Self::Warn, Self::Error, Self::Fatal];
-        all.into_iter().find(|level| level.to_string() == name).ok_or(())
+        match text.to_ascii_lowercase().as_str() {
+            "debug" => Ok(Self::Debug),
+            "info" => Ok(Self::Info),
+            "warn" | "warning" => Ok(Self::Warn),
+            "error" => Ok(Self::Error),
+            "fatal" => Ok(Self::Fatal),
+            _ => Err(()),
+        }
     }
 }

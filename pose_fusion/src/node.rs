@@ -242,7 +242,12 @@ impl NodeShell for FusionNode {
             (Health::Warn, format!("not initialized: {}", self.missing()))
         } else if imu_age > limit {
             let why = self.rejections.unusable().map(str::to_owned);
-            (Health::Error, why.unwrap_or_else(|| no_imu(imu_age)))
+            let text = if imu_age.is_finite() {
+                format!("no IMU sample for {imu_age:.1} s")
+            } else {
+                format!("no message on {}", topics::IMU)
+            };
+            (Health::Error, why.unwrap_or(text))
         } else if self.silence() > limit + 2.0 * self.period() {
             // With simulated time no age grows once the clock has ended, too.
             (Health::Error, format!("no input for {:.1} s", self.silence()))
@@ -307,15 +312,6 @@ impl NodeShell for FusionNode {
             };
             context.diagnose("rig file", health, &message, &[]);
         }
-    }
-}
-
-/// Describes an IMU that is silent for `age` seconds, or has never been received.
-fn no_imu(age: f64) -> String {
-    if age.is_finite() {
-        format!("no IMU sample for {age:.1} s")
-    } else {
-        format!("no message on {}", topics::IMU)
     }
 }
 

@@ -175,26 +175,6 @@ fn what_is_smoothed_advances_over_a_restart_with_another_offset() {
     assert!(smoothed.len() > 500 && back == 0, "{back} of {} go back", smoothed.len());
 }
 
-/// Before, everything behind a clock that was set back was dropped, and kept in memory until then.
-#[test]
-fn what_comes_behind_a_clock_that_was_set_back_is_smoothed() {
-    let run =
-        simulated::run(MotionConfig { duration: 6.0, ..MotionConfig::nominal(3) }, &shared(0.0, 3));
-    let mut fusion = Fusion::new(simulated::rig(), simulated::config());
-    fusion.keep_for_smoothing();
-    let mut count = 0;
-    for back in [0.0, 1000.0] {
-        let inputs = run.changed(|_, input| {
-            if let Some(stamp) = simulated::stamp_of(input) {
-                *stamp = stamp.plus_seconds(-back);
-            }
-        });
-        count += scoring::run(&mut fusion, inputs).odometry.len();
-    }
-    let smoothed = [fusion.smoothed(false), fusion.smoothed(true)].map(|part| part.len());
-    assert!(smoothed[0] > 500 && smoothed[0] + smoothed[1] + 20 > count, "{smoothed:?} of {count}");
-}
-
 /// Moves the stamp of an image or encoder reading by seconds that depend on it.
 fn shift(input: &mut Input, by: impl Fn(Stamp) -> f64) {
     let is_imu = matches!(input, Input::Imu(_));

@@ -95,9 +95,13 @@ impl MarkerObservation {
 
     /// Observation of a lost marker.
     pub fn lost(occluded_frames: u16) -> Self {
-        let nowhere = Vector2::repeat(f64::NAN);
-        let predicted = Self::predicted(occluded_frames, nowhere, Matrix2::zeros());
-        Self { state: MarkerState::Lost, ..predicted }
+        Self {
+            state: MarkerState::Lost,
+            occluded_frames,
+            centroid: Vector2::repeat(f64::NAN),
+            covariance: Matrix2::zeros(),
+            area: 0.0,
+        }
     }
 }
 

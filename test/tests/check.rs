@@ -46,6 +46,8 @@ fn one_fault_of_each_kind_is_named() {
     for kind in KINDS {
         let cell = bench.cell(fault(kind));
         assert!(cell.right, "{kind}: {} {:?}", cell.text, cell.sentences);
+        let unit = cell.text.contains("climber.turn.unit");
+        assert_eq!(unit, kind == "turn in degrees", "{kind}: {}", cell.text);
     }
 }
 

@@ -35,6 +35,7 @@ const LONG: Duration = Duration::from_secs(60);
 
 /// Starts the peer; `None` where there is no Python for it.
 fn start_peer() -> Option<Running> {
+    test_support::python("rosbags")?;
     let python = test_support::python("cyclonedds")?;
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peer/listen.py");
     let mut command = Command::new(python);

@@ -49,3 +49,15 @@ fn late_messages_after_a_sleeping_host_are_no_clock_step() {
         }
     }
 }
+
+#[test]
+fn after_a_restart_stamps_increase_and_use_the_new_offset() {
+    let start = Stamp::from_nanos(0);
+    let mut fit = ClockFit::new(1.0);
+    let first = stamp(&mut fit, 1_000_000_000, start.plus_seconds(10.0)).0;
+    fit.restart();
+    let second = stamp(&mut fit, 0, start.plus_seconds(10.0)).0;
+    assert!(second > first);
+    let third = stamp(&mut fit, 500_000_000, start.plus_seconds(10.5)).0;
+    assert!(third.seconds_since(start.plus_seconds(10.5)).abs() < 1e-5);
+}

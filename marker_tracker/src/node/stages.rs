@@ -96,10 +96,9 @@ impl Stages {
     /// Counts and durations for the diagnostics.
     pub fn values(&self) -> Vec<(&'static str, String)> {
         let [none, one, two, three, four] = self.detected;
-        vec![
+        let mut values = vec![
             ("images", self.convert.count.to_string()),
             ("rejected", self.rejected.to_string()),
-            ("reason of the last rejection", self.reason.clone()),
             ("repeated", self.repeated.to_string()),
             ("all four detected", four.to_string()),
             ("three detected", three.to_string()),
@@ -107,7 +106,11 @@ impl Stages {
             ("decoding, ms", self.convert.text()),
             ("tracking, ms", self.track.text()),
             ("drawing, ms", self.draw.text()),
-        ]
+        ];
+        if self.rejected > 0 {
+            values.push(("reason of the last rejection", self.reason.clone()));
+        }
+        values
     }
 }
 

@@ -3,7 +3,10 @@
 use super::Filter;
 use crate::{
     ekf::state::CLIMBER_RATE,
-    health::encoder_trust::{Cause, Seen, Verdict},
+    health::{
+        encoder_trust::{Cause, Seen, Verdict},
+        lock_out::SUSPECT,
+    },
     input::climber_track::faults::STOOD,
     measurements::{
         Innovation,
@@ -92,8 +95,11 @@ impl Filter {
         let standing = moves || stands == [true; 3] || self.climber.may_be_frozen();
         let read = self.read_at(place).unwrap_or(at);
         let (moves_on, leap) = (self.climber.moves_on(read), self.climber.leap_at(read));
-        let axis_stands = stands.contains(&true);
-        let seen = Seen { standing, axis_stands, moves, moves_on, leap };
+        let (axis_stands, since) = (stands.contains(&true), self.climber.standing_since());
+        let suspended = self.trust.suspended_since().unwrap_or(at);
+        let earliest = suspended.plus_seconds(-self.encoder_offset() - SUSPECT);
+        let axis_stopped = (0..3).any(|i| stands[i] && since[i].is_some_and(|s| s > earliest));
+        let seen = Seen { standing, axis_stands, axis_stopped, moves, moves_on, leap };
         match self.trust.judge(at, innovation.nis, &innovation.residual, seen, timeout) {
             Verdict::Exclude => {
                 if !standing && self.trust.cause() != Some(Cause::Leap) {

@@ -5,12 +5,12 @@
 //! move. Three consistent readings in a row restore trust. Readings that contradict the estimate for
 //! `climber.step_timeout` are adopted (the drive was homed, or a wheel slipped): the filter
 //! reinitializes with them, and the world frame moves with the encoders. Until then the pose keeps
-//! its frame. Who of the two is wrong is not known: after `DISAGREES` the published covariance contains
-//! the distance between them; where they seem to be frozen, until that has been `CONFIRMED`. Encoders
-//! that are known to be frozen are not adopted before they move again. Readings that return from a
-//! fault and go on moving are right: they are adopted after `RETURNED`. They return where frozen ones
-//! move again, or where they leap to where a climber can have moved to since they were equal or leapt
-//! before.
+//! its frame. Who of the two is wrong is not known: after `DISAGREES` the published covariance
+//! contains the distance between them; where they seem to be frozen, until that has been
+//! `CONFIRMED`. Encoders that are known to be frozen are not adopted before they move again.
+//! Readings that return from a fault and go on moving, on all axes that moved, are right: they are
+//! adopted after `RETURNED`. They return where frozen ones move again, or where they leap to where a
+//! climber can have moved to since they were equal or leapt before.
 
 use nalgebra::Vector3;
 use rig_model::Stamp;
@@ -65,6 +65,8 @@ pub struct Seen {
     pub standing: bool,
     /// The newest readings of an axis are equal.
     pub axis_stands: bool,
+    /// An axis has stood since about when the encoders were suspended: it may be frozen.
+    pub axis_stopped: bool,
     /// The estimate of the climber moves.
     pub moves: bool,
     /// The reading is the first that differs after equal ones, and a climber can have moved there.
@@ -92,6 +94,11 @@ impl EncoderTrust {
     /// Returns whether the encoders are suspended.
     pub fn is_suspended(&self) -> bool {
         self.suspended.is_some()
+    }
+
+    /// Returns since when the encoders have been suspended, IMU time.
+    pub fn suspended_since(&self) -> Option<Stamp> {
+        self.suspended.map(|(since, _)| since)
     }
 
     /// Returns why the encoders are suspended.
@@ -160,8 +167,7 @@ impl EncoderTrust {
             (false, true) => PASSED,
             (false, false) => 0.0,
         };
-        // An axis that stands may be frozen.
-        let returned = !seen.axis_stands
+        let returned = !seen.axis_stopped
             && self.returned.is_some_and(|since| at.seconds_since(since) > RETURNED);
         if self.consistent >= CONSISTENT && lasts > due {
             self.reset();
@@ -209,8 +215,14 @@ impl EncoderTrust {
 mod tests {
     use super::*;
 
-    const STRANGE: Seen =
-        Seen { standing: false, axis_stands: false, moves: false, moves_on: false, leap: None };
+    const STRANGE: Seen = Seen {
+        standing: false,
+        axis_stands: false,
+        axis_stopped: false,
+        moves: false,
+        moves_on: false,
+        leap: None,
+    };
     const RETURNS: Seen = Seen { moves_on: true, ..STRANGE };
     const STANDS: Seen = Seen { standing: true, ..STRANGE };
     const FROZEN: Seen = Seen { moves: true, ..STANDS };
@@ -265,7 +277,11 @@ mod tests {
         assert_eq!(unclear.judge(at(9020), 1e6, &off, STRANGE, 30.0), Verdict::Exclude);
         assert_eq!(unclear.judge(at(9240), 1e6, &off, STRANGE, 30.0), Verdict::Exclude);
         assert_eq!(trust.judge(at(9020), 1e6, &off, RETURNS, 30.0), Verdict::Exclude);
-        assert_eq!(trust.judge(at(9240), 1e6, &off, STRANGE, 30.0), Verdict::Adopt);
+        // Not while an axis stands that moved before; one at rest (a drive along one rail) is right.
+        let stopped = Seen { axis_stands: true, axis_stopped: true, ..STRANGE };
+        assert_eq!(trust.judge(at(9230), 1e6, &off, stopped, 30.0), Verdict::Exclude);
+        let resting = Seen { axis_stands: true, ..STRANGE };
+        assert_eq!(trust.judge(at(9240), 1e6, &off, resting, 30.0), Verdict::Adopt);
         // What contradicts without them as well is not theirs, unless they have leapt.
         for (cause, restored) in
             [(Cause::Contradiction, true), (Cause::Frozen, true), (Cause::Leap, false)]

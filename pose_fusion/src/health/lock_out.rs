@@ -26,7 +26,8 @@ const REPEATED: f64 = 0.6;
 /// (`test/tests/robustness.rs`).
 const CONTRADICTED: f64 = 3.0;
 /// A pose that replaces one which was wrong for certain (it diverged, or other encoders were adopted)
-/// must hold for this time before it may be used, s.
+/// must hold for this time before it may be used, s: encoders whose turn is in degrees contradict the
+/// adopted pose within it.
 const REPLACED: f64 = 1.0;
 
 /// What follows from an image.

@@ -137,3 +137,18 @@ fn a_looped_recording_reinitializes() {
     assert!(score.position_rmse() < 1.2, "{score}");
     assert!(second.odometry.len() + 10 > first.odometry.len());
 }
+
+/// Before, everything behind a clock that was set back was dropped, and kept in memory until then.
+#[test]
+fn what_comes_behind_a_clock_that_was_set_back_is_smoothed() {
+    let run = recording();
+    let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+    fusion.keep_for_smoothing();
+    let mut count = 0;
+    for back in [0.0, 1000.0] {
+        let inputs = run.inputs.iter().map(|(_, input)| shifted(input, -back));
+        count += scoring::run(&mut fusion, inputs).odometry.len();
+    }
+    let smoothed = [fusion.smoothed(false), fusion.smoothed(true)].map(|part| part.len());
+    assert!(smoothed[0] > 500 && smoothed[0] + smoothed[1] + 20 > count, "{smoothed:?} of {count}");
+}

@@ -6,7 +6,7 @@ use super::{
     findings::Finding,
     layout::{MIRRORED, w_first},
 };
-use crate::recording::Recording;
+use crate::recording::{Recording, Shot};
 use nalgebra::{Isometry3, Matrix2, Matrix3, Rotation3, UnitQuaternion, Vector3};
 use rig_model::{PerColor, planar_pose};
 
@@ -53,14 +53,15 @@ pub(crate) fn examine_turn(state: &mut Corrected, recording: &Recording) {
     if range < FAR_TURN {
         return;
     }
-    let integral = integral(recording);
+    let (poses, integral) = (camera_poses(state, recording), integral(recording));
     let score = |unit: f64| {
-        let rates = visual_rates(state, recording, unit);
+        let rates = visual_rates(&poses, state, recording, unit);
         let at = |lag: f64| align(&rates, &integral, lag);
         let found = SEARCHES.iter().find_map(|search| best_lag(&at, *search));
         found.map_or(0.0, |(_, best, _)| best.score)
     };
-    if score(1.0 / DEGREES) > score(1.0) + CLEARLY {
+    // A turn that is reversed is off by more than one that hardly turns.
+    if score(1.0 / DEGREES) > score(1.0).max(score(-1.0)) + CLEARLY {
         let finding = Finding::wrong(
             "climber.turn.unit",
             "the joint `turn` is in degrees: with radians the images' rates contradict the \
@@ -75,7 +76,7 @@ pub(crate) fn examine_turn(state: &mut Corrected, recording: &Recording) {
 
 /// Examines time offset, unit and rotation, and corrects samples and rig.
 pub(crate) fn examine(state: &mut Corrected, recording: &Recording) {
-    let rates = visual_rates(state, recording, 1.0);
+    let rates = visual_rates(&camera_poses(state, recording), state, recording, 1.0);
     let integral = integral(recording);
     if rates.len() < 30 {
         return;
@@ -209,37 +210,43 @@ fn rotation(state: &mut Corrected, measured: &UnitQuaternion<f64>, certain: bool
     state.rig.imu.volant_from_imu.rotation = rotation;
 }
 
-/// Mean angular velocities of the platform over [`SPAN`]: times of both ends, and the rate in
-/// volant axes. `turn_unit`: unit of the climber's turn, rad.
-fn visual_rates(
-    state: &Corrected,
-    recording: &Recording,
-    turn_unit: f64,
-) -> Vec<(f64, f64, Vector3<f64>)> {
+/// Poses of the platform in the camera, `camera_from_volant`, with their times.
+fn camera_poses(state: &Corrected, recording: &Recording) -> Vec<(f64, Isometry3<f64>)> {
     let rig = &state.rig;
     let up = rig.climber_from_camera.rotation.inverse() * Vector3::z();
     let tilt = planar_pose::TiltPrior { up_in_volant: Vector3::z(), up_in_camera: up, sigma: TILT };
     let covariance = Matrix2::identity() * 0.01;
-    let poses: Vec<(f64, Isometry3<f64>)> = recording
-        .shots
-        .iter()
-        .filter_map(|shot| {
-            let measured = PerColor(shot.pixels.map(|pixel| Some((pixel, covariance))));
-            let found =
-                planar_pose::candidates(&rig.markers, &recording.camera, &measured, Some(&tilt));
-            let turn = recording.climber_at(shot.time).1 * turn_unit;
-            let climber = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn);
-            let camera = climber * rig.climber_from_camera.rotation;
-            Some((shot.time, camera * found.first()?.camera_from_volant))
-        })
-        .collect();
+    let pose = |shot: &Shot| {
+        let measured = PerColor(shot.pixels.map(|pixel| Some((pixel, covariance))));
+        let found =
+            planar_pose::candidates(&rig.markers, &recording.camera, &measured, Some(&tilt));
+        Some((shot.time, found.first()?.camera_from_volant))
+    };
+    recording.shots.iter().filter_map(pose).collect()
+}
+
+/// Mean angular velocities of the platform over [`SPAN`]: times of both ends, and the rate in
+/// volant axes. `turn_unit`: unit of the climber's turn, rad.
+fn visual_rates(
+    poses: &[(f64, Isometry3<f64>)],
+    state: &Corrected,
+    recording: &Recording,
+    turn_unit: f64,
+) -> Vec<(f64, f64, Vector3<f64>)> {
+    let rotation = |(time, pose): &(f64, Isometry3<f64>)| {
+        let turn = recording.climber_at(*time).1 * turn_unit;
+        let climber = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn);
+        (*time, climber * state.rig.climber_from_camera.rotation * pose.rotation)
+    };
+    let rotations: Vec<(f64, UnitQuaternion<f64>)> = poses.iter().map(rotation).collect();
     let mut rates = vec![];
-    for (k, (from, first)) in poses.iter().enumerate() {
-        let Some((to, last)) = poses[k..].iter().find(|(t, _)| *t >= from + SPAN) else { break };
+    for (k, (from, first)) in rotations.iter().enumerate() {
+        let later = rotations[k..].iter().find(|(t, _)| *t >= from + SPAN);
+        let Some((to, last)) = later else { break };
         if to - from > 2.0 * SPAN {
             continue;
         }
-        let turn = (first.rotation.inverse() * last.rotation).scaled_axis();
+        let turn = (first.inverse() * last).scaled_axis();
         rates.push((*from, *to, turn / (to - from)));
     }
     rates

@@ -37,8 +37,12 @@ impl Renderer {
             let noise = 1.0
                 + drawn.grain
                     * (0.6 * grain.at(u * 230.0, v * 230.0) + 0.4 * grain.at(u * 31.0, v * 31.0));
-            let place = (world_from_volant * Point3::new(u, v, height)).coords.xy();
-            let shade = Shadow::light_of_all(shadows, place, platform, seconds, s.abs() / focal);
+            let shade = if shadows.is_empty() {
+                [1.0; 3]
+            } else {
+                let place = (world_from_volant * Point3::new(u, v, height)).coords.xy();
+                Shadow::light_of_all(shadows, place, platform, seconds, s.abs() / focal)
+            };
             let colour = std::array::from_fn(|i| drawn.colour[i] * noise * shade[i]);
             blend(&mut canvas[at], colour, share);
         });

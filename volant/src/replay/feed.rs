@@ -155,7 +155,8 @@ impl Feed {
         self.bytes_read.load(Ordering::Relaxed)
     }
 
-    /// Losses in the bag before the last item that was returned; all of them at its end.
+    /// Losses of the bag that were found up to the last item that was returned; all of them at its
+    /// end.
     pub fn losses(&self) -> &[String] {
         &self.losses
     }

@@ -3,6 +3,7 @@
 use anyhow::bail;
 use bag::BagSummary;
 use node_kit::NodeName;
+use rig_model::topics;
 use std::{collections::BTreeMap, fmt, str::FromStr};
 
 /// A namespace and remapping rules.
@@ -93,7 +94,10 @@ impl TopicNames {
             if !self.namespace.is_empty() || self.remaps.contains_key(&self.absolute(name)) {
                 continue;
             }
-            match bag.topics_of(kind).as_slice() {
+            // What the tracker draws is no camera's image.
+            let mut found = bag.topics_of(kind);
+            found.retain(|topic| !topic.ends_with(topics::MARKERS_DEBUG_IMAGE));
+            match found.as_slice() {
                 [] => {}
                 [only] => return Ok(Some((place, (*only).to_owned()))),
                 found => bail!(
@@ -216,6 +220,9 @@ mod tests {
         assert_eq!(choose(&names, &[("/camera/image_raw", "Image", 0)]), Ok(None));
         assert_eq!(choose(&names, &two[1..]), Ok(Some((0, two[1].0.to_owned()))));
         assert_eq!(choose(&rig1, &two), Ok(Some((0, two[0].0.to_owned()))));
+        let drawn = ("/rig1/climber/markers/debug_image", "Image", 9);
+        assert_eq!(choose(&names, &[drawn]), Ok(None));
+        assert_eq!(choose(&names, &[drawn, two[1]]), Ok(Some((0, two[1].0.to_owned()))));
         // What the user named is not replaced by another rig's.
         let renamed = TopicNames::new("", &["camera/image_raw:=/front/image_raw".parse().unwrap()]);
         for names in [&rig1, &renamed] {

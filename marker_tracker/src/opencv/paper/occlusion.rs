@@ -63,7 +63,7 @@ pub(super) fn observe(
                     flow: sighting.flow.unwrap_or_default(),
                     occluded: Some(0),
                 };
-                // By so much the centroid moves where the missing area is at one side, px.
+                // How far the centroid moves where the missing area is at one side, px.
                 let displacement =
                     (sighting.missing - MISSING_NOISE).max(0.0) * sighting.area.sqrt();
                 let covariance = isotropic(DETECTED_SIGMA.hypot(displacement));
