@@ -2,7 +2,7 @@
 
 use crate::{
     config::{Axis, ClimberConfig, ConfigError},
-    rejection::Warning,
+    warning::Warning,
 };
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rig_model::{ClimberSample, JointReading, Stamp, wrap_angle};

@@ -8,8 +8,8 @@ mod climber;
 mod config;
 #[cfg(feature = "node")]
 pub mod node;
-mod rejection;
+mod warning;
 
 pub use climber::{Climber, Counts, Output};
 pub use config::{Axis, ClimberConfig, ConfigError, JointCalibration};
-pub use rejection::Warning;
+pub use warning::Warning;

@@ -73,7 +73,7 @@ impl Supervisor {
         EventLoop { supervisor: Arc::clone(self), number }
     }
 
-    /// Sends a signal to the service manager.
+    /// Sends a notification to the service manager.
     pub fn send(&self, text: &str) {
         if let Some(socket) = &self.socket {
             // The manager may be gone or busy; a missing beat is what it watches for.

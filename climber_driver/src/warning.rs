@@ -1,4 +1,4 @@
-//! Warnings of the core: why a reading was rejected, and what else the operator should know.
+//! Warnings for the operator: rejected readings, encoders that were re-zeroed, clocks set back.
 
 use thiserror::Error;
 
