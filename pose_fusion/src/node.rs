@@ -265,7 +265,7 @@ impl NodeShell for FusionNode {
             let health = if sigma > limit { Health::Error } else { Health::Warn };
             let ages = format!("no marker used for {image_age:.1} s");
             (health, format!("{ages}, position within {sigma:.3} m"))
-        } else if s.encoders_suspended {
+        } else if s.encoders.suspended {
             (Health::Error, "the encoders contradict images and IMU and are not used".to_owned())
         } else if gated > 0 {
             (Health::Warn, format!("{gated} markers rejected in the last second"))

@@ -1,6 +1,6 @@
 //! The responses to encoder readings that contradict the prediction.
 
-use super::Filter;
+use super::{Filter, time_offset::CLIMBER_NEAR};
 use crate::{
     ekf::state::CLIMBER_RATE,
     health::{
@@ -178,6 +178,18 @@ impl Filter {
             self.trust.suspend(at, Cause::Frozen, false);
         }
         suspected
+    }
+
+    /// Compares the directions of the encoders with what images and IMU show of the climber, at the
+    /// place of an image.
+    pub(super) fn compare_directions(&mut self, place: usize) {
+        let Some(entry) = self.history.get(place) else { return };
+        let read = self.climber.at(entry.stamp.plus_seconds(-self.encoder_offset()));
+        let comparable = !self.arrival.is_imu_silent();
+        match read.filter(|read| comparable && read.distance < CLIMBER_NEAR) {
+            Some(read) => self.trust.directions.add(&self.history, place, &read.values),
+            None => self.trust.directions.interrupt(),
+        }
     }
 
     /// Returns the offset to place an encoder reading on the IMU's time line with, s.

@@ -19,7 +19,7 @@ use crate::{
     health::{
         encoder_trust::EncoderTrust,
         lock_out::LockOut,
-        status::{Status, TimeOffsetStatus},
+        status::{EncoderStatus, Status, TimeOffsetStatus},
     },
     initialization::time_offset::TimeOffsetSearch,
     input::{climber_track::ClimberTrack, imu::ImuInput, markers::MarkerInput},
@@ -142,7 +142,10 @@ impl Filter {
         let geometry = self.setup.geometry.as_ref();
         let mut status = Status {
             initialized: self.is_started(),
-            encoders_suspended: self.trust.is_suspended(),
+            encoders: EncoderStatus {
+                suspended: self.trust.is_suspended(),
+                wrong_directions: self.trust.directions.wrong(),
+            },
             newest_imu: self.arrival.newest_imu().map(|(stamp, _)| stamp),
             imu_noise: self.imu.densities(imu),
             imu_bursts: self.imu.stamps.bursts,

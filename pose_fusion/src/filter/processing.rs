@@ -155,6 +155,9 @@ impl Filter {
             return false;
         }
         self.markers.shake.add(stamp, record);
+        if record.used >= 3 {
+            self.compare_directions(place);
+        }
         let (Some(entry), Some(geometry)) = (self.history.get(place), &self.setup.geometry) else {
             return false;
         };

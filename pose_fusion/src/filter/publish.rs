@@ -3,8 +3,14 @@
 use super::Filter;
 use crate::{
     config::TightConfig,
-    ekf::consider::{TIME_OFFSET_ERROR, Uncertainty},
-    health::{pose_status::PoseState, pose_status::PoseStatus, status::Counts},
+    ekf::{
+        consider::{TIME_OFFSET_ERROR, Uncertainty},
+        state::State,
+    },
+    health::{
+        pose_status::{CONTRADICTED, PoseState, PoseStatus},
+        status::Counts,
+    },
     measurements::{
         Innovation, Outcome,
         markers::{ImageInnovation, Pixels},
@@ -200,11 +206,7 @@ impl Filter {
             markers_used: self.publisher.markers_used,
             ..PoseStatus::lost(end, self.ages(end), state.time_offset, String::new())
         }
-        .judged(
-            &self.setup.status,
-            silent,
-            self.lock_out.is_contradicted(end.plus_seconds(-state.time_offset)),
-        );
+        .judged(&self.setup.status, silent, self.contradicted(end, state).as_deref());
         let horizon = self.setup.config.prediction_horizon;
         let earlier = end.plus_seconds(-horizon);
         let earlier = (self.history.place_of(earlier).checked_sub(1))
@@ -246,6 +248,15 @@ impl Filter {
         self.publisher.out.push_back(Output::Status(status));
         self.publisher.out.extend(predicted.map(Output::Predicted));
         self.publisher.out.extend(swing.map(Output::Swing));
+    }
+
+    /// Returns why the pose at an instant must not be used, where the inputs contradict each other.
+    fn contradicted(&self, at: Stamp, state: &State) -> Option<String> {
+        let camera = at.plus_seconds(-state.time_offset);
+        if let Some(wrong) = self.trust.directions.wrong() {
+            return Some(format!("images and IMU contradict the encoders: {wrong}"));
+        }
+        self.lock_out.is_contradicted(camera).then(|| CONTRADICTED.to_owned())
     }
 
     /// Returns the outputs that wait to be taken.

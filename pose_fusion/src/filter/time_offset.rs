@@ -32,7 +32,7 @@ const REOPENED: f64 = 0.005;
 /// Tilt by which aligned image poses may miss "up", rad: a swing within the unknown offset.
 const TILT: f64 = 0.1;
 /// An image further from its nearest encoder reading than this is not aligned, s.
-const CLIMBER_NEAR: f64 = 0.05;
+pub(super) const CLIMBER_NEAR: f64 = 0.05;
 
 impl Filter {
     /// Aligns image poses with the IMU until the camera time offset is known, then initializes it.

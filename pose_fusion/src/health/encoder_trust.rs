@@ -12,6 +12,7 @@
 //! adopted after `RETURNED`. They return where frozen ones move again, or where they leap to where a
 //! climber can have moved to since they were equal or leapt before.
 
+use super::encoder_directions::EncoderDirections;
 use nalgebra::Vector3;
 use rig_model::Stamp;
 
@@ -88,6 +89,8 @@ pub struct EncoderTrust {
     returned: Option<Stamp>,
     /// Last time that readings which stand were tried without, or were found not to be frozen.
     tried: Option<Stamp>,
+    /// Whether images and IMU show the directions that the encoders report.
+    pub directions: EncoderDirections,
 }
 
 impl EncoderTrust {
@@ -182,7 +185,8 @@ impl EncoderTrust {
 
     /// Trusts the encoders again, after a reinitialization.
     pub fn reset(&mut self) {
-        *self = Self { tried: self.tried, ..Self::default() };
+        let directions = std::mem::take(&mut self.directions);
+        *self = Self { tried: self.tried, directions, ..Self::default() };
     }
 
     /// Returns whether encoders that have stood since `since` may be frozen: not where they are

@@ -4,8 +4,9 @@ use crate::config::StatusConfig;
 use rig_model::Stamp;
 
 const MIRRORED: &str = "no IMU sample, and fewer than four markers: they fit two tilts";
-const CONTRADICTED: &str = "images contradict the IMU or the encoders: check units, signs, \
-                            orientations and frames (`volant check` names the cause)";
+/// Reason of a pose that images contradict again and again.
+pub const CONTRADICTED: &str = "images contradict the IMU or the encoders: check units, signs, \
+                                orientations and frames (`volant check` names the cause)";
 
 /// What carries the pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -82,16 +83,21 @@ impl PoseStatus {
     }
 
     /// Fills in state, validity and reason from the ages and sigmas. `vision_only` is whether IMU
-    /// samples are missing, `contradicted` whether images contradict the prediction again and
-    /// again.
-    pub fn judged(mut self, config: &StatusConfig, vision_only: bool, contradicted: bool) -> Self {
+    /// samples are missing, `contradicted` why the pose must not be used, if the inputs
+    /// contradict each other.
+    pub fn judged(
+        mut self,
+        config: &StatusConfig,
+        vision_only: bool,
+        contradicted: Option<&str>,
+    ) -> Self {
         // A sigma that is no number is beyond every limit.
         let beyond = |sigma: f64, limit: f64| sigma.is_nan() || sigma > limit;
         let beyond_position = beyond(self.position_sigma, config.max_position_sigma);
         let beyond_rotation = beyond(self.rotation_sigma, config.max_rotation_sigma);
         let lost = beyond(self.position_sigma, config.lost_position_sigma);
         let mirrored = vision_only && self.markers_used < 4;
-        self.state = if lost || contradicted || mirrored {
+        self.state = if lost || contradicted.is_some() || mirrored {
             PoseState::Lost
         } else if vision_only {
             PoseState::VisionOnly
@@ -104,14 +110,14 @@ impl PoseStatus {
         let lasting = |what: &str, age: f64| {
             if age.is_finite() { format!("{what} for {age:.2} s") } else { what.to_owned() }
         };
-        self.reason = match self.state {
-            _ if contradicted => CONTRADICTED.to_owned(),
+        self.reason = match (contradicted, self.state) {
+            (Some(why), _) => why.to_owned(),
             _ if mirrored => MIRRORED.to_owned(),
-            PoseState::VisionOnly => lasting("no IMU sample", self.imu_age),
-            PoseState::Coasting | PoseState::Lost if self.image_age > config.max_image_age => {
+            (_, PoseState::VisionOnly) => lasting("no IMU sample", self.imu_age),
+            (_, PoseState::Coasting | PoseState::Lost) if self.image_age > config.max_image_age => {
                 lasting("no image used", self.image_age)
             }
-            PoseState::Lost if !beyond_position => format!(
+            (_, PoseState::Lost) if !beyond_position => format!(
                 "position sigma {:.3} m above lost_position {} m",
                 self.position_sigma, config.lost_position_sigma
             ),
@@ -142,7 +148,7 @@ mod tests {
         (status.image_age, status.imu_age, status.climber_age) = (0.04, 0.0, 0.01);
         status.markers_used = 4;
         change(&mut status);
-        status.judged(&StatusConfig::default(), vision_only, false)
+        status.judged(&StatusConfig::default(), vision_only, None)
     }
 
     #[test]
@@ -170,9 +176,9 @@ mod tests {
         assert_eq!(never.reason, "no IMU sample");
         let config = StatusConfig { max_position_sigma: 1.0, ..StatusConfig::default() };
         let lost = PoseStatus { position_sigma: 0.5, ..tracking.clone() };
-        let lost = lost.judged(&config, false, false);
+        let lost = lost.judged(&config, false, None);
         assert!(lost.state == PoseState::Lost && lost.reason.contains("lost_position"), "{lost:?}");
-        let contradicted = tracking.judged(&StatusConfig::default(), false, true);
+        let contradicted = tracking.judged(&StatusConfig::default(), false, Some(CONTRADICTED));
         assert!(!contradicted.valid && contradicted.state == PoseState::Lost);
         assert!(contradicted.reason.contains("units"), "{}", contradicted.reason);
     }

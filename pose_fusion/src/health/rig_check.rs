@@ -135,6 +135,9 @@ impl RigCheck {
 
 /// Adds what the filter's estimates show.
 fn filter_findings(status: &Status, found: &mut Vec<String>) {
+    if let Some(wrong) = status.encoders.wrong_directions {
+        found.push(format!("{wrong} (images and IMU show the climber's motion)"));
+    }
     let largest = |first: usize| status.constants.fixed_rows::<3>(first).amax();
     if status.pixel_noise_factor > PIXEL_NOISE {
         found.push(format!(

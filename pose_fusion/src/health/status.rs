@@ -78,8 +78,8 @@ pub struct ResetCounts {
 pub struct Status {
     /// There is an estimate.
     pub initialized: bool,
-    /// The encoders contradict the estimate and are not used.
-    pub encoders_suspended: bool,
+    /// The encoders.
+    pub encoders: EncoderStatus,
     /// Newest stamp of the IMU samples.
     pub newest_imu: Option<Stamp>,
     /// Noise densities identified: specific force (m/s²)²/Hz, angular velocity (rad/s)²/Hz.
@@ -101,6 +101,15 @@ pub struct Status {
     pub rope: Option<Rope>,
     /// Counters.
     pub counts: Counts,
+}
+
+/// Trust in the encoders.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct EncoderStatus {
+    /// They contradict the estimate and are not used.
+    pub suspended: bool,
+    /// What is wrong with their directions, as images and IMU show.
+    pub wrong_directions: Option<&'static str>,
 }
 
 impl Status {

@@ -112,7 +112,7 @@ impl PublishedFilter {
             markers_used: last_visual.map_or(0, |(_, markers)| markers),
             ..PoseStatus::lost(now, ages, self.camera_offset(), String::new())
         }
-        .judged(limits, imu_age > GAP, false);
+        .judged(limits, imu_age > GAP, None);
         if status.state == PoseState::Coasting {
             // The published covariance does not contain what an acceleration's error becomes.
             let acceleration_sigma = self.filter.config.tight.imu.accelerometer_bias;

@@ -95,7 +95,7 @@ fn a_climber_that_runs_into_its_stop_keeps_its_encoders() {
             let (_, _, position, rotation) = scoring::judge(&outputs, &run, stop, stop + 5.0);
             // The platform stands as suddenly: the IMU does not resolve it.
             let about = format!("seed {seed}, stop at {stop} s");
-            assert!(!fusion.status().encoders_suspended, "{about}: not used again");
+            assert!(!fusion.status().encoders.suspended, "{about}: not used again");
             assert!((1..=2).contains(&count), "{about}: suspended {count} times");
             assert!(
                 position < 0.003 && rotation < 0.3_f64.to_radians(),
