@@ -122,7 +122,7 @@ impl Rig {
             .map(|m| {
                 let stamp = convert::stamp(&m.header.stamp);
                 let pose = convert::pose(&m.pose.pose, "odometry").unwrap();
-                let truth = scoring::pose_at(&run.truth, stamp).unwrap();
+                let truth = run.pose_at(stamp).unwrap();
                 (stamp, PoseError::new(&pose, &truth).position.norm(), m.twist.covariance[0])
             })
             .collect()
@@ -216,14 +216,14 @@ fn the_operator_s_services_and_topic_work_over_dds() {
     assert!(ok && message.contains("kept.json"), "{message}");
     let checkpoint: pose_fusion::Checkpoint =
         serde_json::from_str(&std::fs::read_to_string(&kept).unwrap()).unwrap();
-    let saved = scoring::pose_at(&run.truth, Stamp::from_nanos(checkpoint.stamp_ns)).unwrap();
+    let saved = run.pose_at(Stamp::from_nanos(checkpoint.stamp_ns)).unwrap();
     assert!((nalgebra::Vector3::from(checkpoint.position) - saved.translation.vector).norm() < 0.1);
 
     // While frozen, a pose that was set does not change with the markers.
     let (ok, why) = caller.call("freeze 1");
     assert!(ok, "{why}");
     let (stamp, _, _) = last(&others.after(0.1, &run));
-    let mut wrong = scoring::pose_at(&run.truth, stamp).unwrap();
+    let mut wrong = run.pose_at(stamp).unwrap();
     wrong.translation.vector.x += 0.5;
     let covariance = Matrix6::identity() * 1e-6;
     let message =
