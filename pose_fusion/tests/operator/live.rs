@@ -3,9 +3,9 @@
 #![allow(clippy::disallowed_methods, reason = "a live test waits")]
 use super::*;
 use node_kit::{
-    RosArguments, convert,
+    convert,
     environment::Network,
-    node::{NodeContext, NodeError, NodeShell, Process, Publisher},
+    node::{NodeContext, NodeError, Process, Publisher},
     qos::QosPreset,
 };
 use rig_model::Stamp;
@@ -60,16 +60,6 @@ fn keep<M: Message>(
     })
 }
 
-struct Others;
-
-impl NodeShell for Others {
-    const NAME: &'static str = "others";
-    type Parameters = ();
-    type Input = ();
-
-    fn handle(&mut self, _: &mut NodeContext<()>, (): ()) {}
-}
-
 /// The rest of the rig, in a DDS domain of its own.
 struct Rig {
     publishers: RigPublishers,
@@ -81,7 +71,8 @@ impl Rig {
     fn start(domain_id: u16) -> Self {
         let received = Arc::<Received>::default();
         let (kept, (sender, publishers)) = (Arc::clone(&received), sync_channel(1));
-        let start = move |context: &mut NodeContext<()>, ()| -> Result<Others, NodeError> {
+        let mut process = Process::new(Network { domain_id, ..Network::default() }).unwrap();
+        let started = process.start_closure("others", move |context: &mut NodeContext<()>| {
             keep(context, topics::ODOMETRY, &kept, |received| &received.odometry)?;
             keep(context, topics::MARKER_UPDATES, &kept, |received| &received.updates)?;
             keep(context, topics::STATUS, &kept, |received| &received.status)?;
@@ -93,10 +84,9 @@ impl Rig {
                 pose: context.advertise(topics::SET_POSE, QosPreset::State)?,
             };
             sender.send(publishers).unwrap();
-            Ok(Others)
-        };
-        let mut process = Process::new(Network { domain_id, ..Network::default() }).unwrap();
-        process.start_with::<Others>(&RosArguments::default(), start).unwrap();
+            Ok(|_: &mut NodeContext<()>, ()| ())
+        });
+        started.unwrap();
         Self { publishers: publishers.recv().unwrap(), received, _process: process }
     }
 
