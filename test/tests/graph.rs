@@ -12,7 +12,7 @@ use std::{
     sync::{Arc, mpsc},
     time::{Duration, Instant},
 };
-use test_support::process::Running;
+use test_support::process::{Running, wait_until};
 use volant_msgs::{
     diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus},
     sensor_msgs::msg::JointState,
@@ -104,11 +104,7 @@ impl Observed {
 
 fn end(mut node: Node) {
     node.signal(Signal::TERM).unwrap();
-    let deadline = Instant::now() + LONG;
-    while node.ended().is_none() {
-        assert!(Instant::now() < deadline, "{} does not end", node.name);
-        std::thread::sleep(Duration::from_millis(10));
-    }
+    assert!(wait_until(LONG, || node.ended().is_some()), "{} does not end", node.name);
 }
 
 const OK: u8 = DiagnosticStatus::OK;

@@ -14,7 +14,7 @@ use std::{
     sync::{Arc, Mutex, MutexGuard, PoisonError},
     time::Duration,
 };
-use test_support::process::{Running, in_domain};
+use test_support::process::{Running, in_domain, wait_until};
 use volant_msgs::{
     Message,
     diagnostic_msgs::msg::DiagnosticArray,
@@ -128,14 +128,7 @@ impl Harness {
 
     /// Waits for `done`, for at most `seconds`; returns whether it was reached.
     pub fn wait(&self, seconds: f64, done: impl Fn(&Received) -> bool) -> bool {
-        let end = now().plus_seconds(seconds);
-        while now() < end {
-            if received(|r| done(r)) {
-                return true;
-            }
-            std::thread::sleep(Duration::from_millis(10));
-        }
-        false
+        wait_until(Duration::from_secs_f64(seconds), || received(|r| done(r)))
     }
 }
 

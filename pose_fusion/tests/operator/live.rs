@@ -18,7 +18,7 @@ use std::{
     thread::sleep,
     time::{Duration, Instant},
 };
-use test_support::process::{Running, in_domain};
+use test_support::process::{Running, in_domain, wait_until};
 use volant_msgs::{
     Message,
     geometry_msgs::msg::{PoseWithCovarianceStamped, TransformStamped},
@@ -94,18 +94,10 @@ impl Rig {
     fn after(&self, seconds: f64, run: &simulated::Run) -> Vec<(Stamp, f64, f64)> {
         let odometry = || self.received.odometry.lock().unwrap();
         let newest = || odometry().last().map(|m| convert::stamp(&m.header.stamp));
-        let begin = Instant::now();
-        let from = loop {
-            if let Some(stamp) = newest() {
-                break stamp;
-            }
-            assert!(begin.elapsed().as_secs() < 20, "no odometry came");
-            sleep(Duration::from_millis(10));
-        };
-        while newest().is_none_or(|stamp| stamp.seconds_since(from) < seconds) {
-            assert!(begin.elapsed().as_secs() < 30, "odometry has ended");
-            sleep(Duration::from_millis(10));
-        }
+        assert!(wait_until(Duration::from_secs(20), || newest().is_some()), "no odometry came");
+        let from = newest().unwrap();
+        let later = || newest().is_some_and(|stamp| stamp.seconds_since(from) >= seconds);
+        assert!(wait_until(Duration::from_secs(30), later), "odometry has ended");
         let received = odometry();
         let since = received.iter().filter(|m| convert::stamp(&m.header.stamp) > from);
         since
@@ -265,11 +257,8 @@ fn the_status_is_lost_once_all_inputs_have_ended_and_another_imu_frame_is_named(
         rig.to_str().unwrap(),
     ]));
     let status = || others.received.status.lock().unwrap();
-    let waiting = Instant::now();
-    while status().is_empty() {
-        assert!(waiting.elapsed().as_secs() < 20, "the node does not report that it waits");
-        sleep(Duration::from_millis(10));
-    }
+    let reports = wait_until(Duration::from_secs(20), || !status().is_empty());
+    assert!(reports, "the node does not report that it waits");
     feed(&others.publishers, &run, sensors.epoch);
     assert!(status().iter().any(|s| s.valid), "the pose was never valid");
     let named = ["is in the frame `imu`", "frames.imu of the rig file is `imu_link`"];

@@ -31,6 +31,18 @@ pub fn in_domain(domain: u16, program: impl AsRef<OsStr>) -> Command {
     command
 }
 
+/// Waits until `done`, for at most `within`; returns whether it was reached.
+pub fn wait_until(within: Duration, mut done: impl FnMut() -> bool) -> bool {
+    let deadline = Instant::now() + within;
+    while !done() {
+        if Instant::now() >= deadline {
+            return false;
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    true
+}
+
 /// Resident memory of a process, kB; `None` if it has ended.
 pub fn memory(id: u32) -> Option<u64> {
     status(id, "VmRSS:")
@@ -137,16 +149,13 @@ impl Running {
 
     /// Waits until a signal ends it in order: the handler's thread runs.
     pub fn wait_for_signal_handler(&self) {
-        let deadline = Instant::now() + Duration::from_secs(20);
         let threads = format!("/proc/{}/task", self.id());
         let name = |task: std::fs::DirEntry| std::fs::read_to_string(task.path().join("comm")).ok();
-        while !std::fs::read_dir(&threads)
-            .unwrap()
-            .any(|task| task.ok().and_then(name).is_some_and(|name| name.trim() == "signals"))
-        {
-            assert!(Instant::now() < deadline, "it handles no signals");
-            std::thread::sleep(Duration::from_millis(2));
-        }
+        let handles = || {
+            let mut tasks = std::fs::read_dir(&threads).unwrap();
+            tasks.any(|task| task.ok().and_then(name).is_some_and(|name| name.trim() == "signals"))
+        };
+        assert!(wait_until(Duration::from_secs(20), handles), "it handles no signals");
     }
 
     /// Its process id.
