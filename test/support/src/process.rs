@@ -19,6 +19,19 @@ pub fn example(name: &str) -> PathBuf {
     folder.join("examples").join(name)
 }
 
+/// Folder of the executables: `VOLANT_BIN`, else where this executable is (for a test, one above).
+pub fn executables() -> PathBuf {
+    if let Some(folder) = std::env::var_os("VOLANT_BIN") {
+        return folder.into();
+    }
+    let own = std::env::current_exe().unwrap_or_default();
+    let mut folder = own.parent().unwrap_or(Path::new(".")).to_owned();
+    if folder.ends_with("deps") || folder.ends_with("examples") {
+        folder.pop();
+    }
+    folder
+}
+
 /// A program in a DDS domain of this computer, without what the test's own environment sets.
 pub fn in_domain(domain: u16, program: impl AsRef<OsStr>) -> Command {
     let mut command = Command::new(program);
