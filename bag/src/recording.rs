@@ -17,67 +17,57 @@ use volant_msgs::{Message, cdr, geometry_msgs, msg, nav_msgs::msg::Odometry, sen
 /// Marker observations of images, by their stamps.
 pub type Markers = HashMap<Stamp, MarkerObservations>;
 
-/// Recording of one run.
-#[derive(Clone, Debug)]
-pub struct Recording {
-    /// Rig file.
-    pub rig: Rig,
-    /// Samples with their times of arrival, in the order of arrival.
-    pub samples: Vec<(Stamp, Sample)>,
-    /// True motion.
-    pub truth: Truth,
-}
+/// Samples with their times of arrival, in the order of arrival.
+pub type Samples = Vec<(Stamp, Sample)>;
 
-impl Recording {
-    /// Reads a folder.
-    ///
-    /// A bag without `climber/markers` gets for each of its compressed images the observations that
-    /// `markers` holds.
-    ///
-    /// # Errors
-    /// A missing or unreadable file, or an undecodable message, with its path.
-    pub fn read(folder: &Path, markers: &Markers) -> Result<Self, BagError> {
-        let path = folder.join("rig.yaml");
-        let rig = Rig::from_yaml(&text(&path)?).map_err(|e| BagError::unusable(&path, e))?;
-        let path = folder.join("in.mcap");
-        let observed = BagReader::summary(&path)?.count(topics::MARKERS) > 0;
-        let mut samples = Vec::new();
-        let mut bag = BagReader::open(&path)?;
-        while let Some(message) = bag.next_message()? {
-            let wrong = |e: ConvertError| BagError::unusable(&path, e);
-            let data = &message.data;
-            let sample = match message.topic.name.as_str() {
-                topics::IMU => {
-                    Sample::Imu(convert::imu_sample(&decode::<sensor_msgs::msg::Imu>(&path, data)?))
+/// Reads a folder: rig file, samples and true motion.
+///
+/// A bag without `climber/markers` gets for each of its compressed images the observations that
+/// `markers` holds.
+///
+/// # Errors
+/// A missing or unreadable file, or an undecodable message, with its path.
+pub fn read(folder: &Path, markers: &Markers) -> Result<(Rig, Samples, Truth), BagError> {
+    let path = folder.join("rig.yaml");
+    let rig = Rig::from_yaml(&text(&path)?).map_err(|e| BagError::unusable(&path, e))?;
+    let path = folder.join("in.mcap");
+    let observed = BagReader::summary(&path)?.count(topics::MARKERS) > 0;
+    let mut samples = Vec::new();
+    let mut bag = BagReader::open(&path)?;
+    while let Some(message) = bag.next_message()? {
+        let wrong = |e: ConvertError| BagError::unusable(&path, e);
+        let data = &message.data;
+        let sample = match message.topic.name.as_str() {
+            topics::IMU => {
+                Sample::Imu(convert::imu_sample(&decode::<sensor_msgs::msg::Imu>(&path, data)?))
+            }
+            topics::CLIMBER_TRANSFORM => {
+                let m = decode::<geometry_msgs::msg::TransformStamped>(&path, data)?;
+                Sample::Climber(convert::climber_sample(&m, &rig.frames).map_err(wrong)?)
+            }
+            topics::CAMERA_INFO => {
+                let m = decode::<sensor_msgs::msg::CameraInfo>(&path, data)?;
+                let camera = convert::camera_model(&m);
+                Sample::Camera(camera.map_err(|e| BagError::unusable(&path, e))?)
+            }
+            topics::MARKERS => {
+                let m = decode::<msg::MarkerObservations>(&path, data)?;
+                Sample::Markers(convert::marker_observations(&m).map_err(wrong)?)
+            }
+            topics::COMPRESSED_IMAGE if !observed => {
+                let m = decode::<sensor_msgs::msg::CompressedImage>(&path, data)?;
+                match markers.get(&convert::stamp(&m.header.stamp)) {
+                    Some(markers) => Sample::Markers(markers.clone()),
+                    None => continue,
                 }
-                topics::CLIMBER_TRANSFORM => {
-                    let m = decode::<geometry_msgs::msg::TransformStamped>(&path, data)?;
-                    Sample::Climber(convert::climber_sample(&m, &rig.frames).map_err(wrong)?)
-                }
-                topics::CAMERA_INFO => {
-                    let m = decode::<sensor_msgs::msg::CameraInfo>(&path, data)?;
-                    let camera = convert::camera_model(&m);
-                    Sample::Camera(camera.map_err(|e| BagError::unusable(&path, e))?)
-                }
-                topics::MARKERS => {
-                    let m = decode::<msg::MarkerObservations>(&path, data)?;
-                    Sample::Markers(convert::marker_observations(&m).map_err(wrong)?)
-                }
-                topics::COMPRESSED_IMAGE if !observed => {
-                    let m = decode::<sensor_msgs::msg::CompressedImage>(&path, data)?;
-                    match markers.get(&convert::stamp(&m.header.stamp)) {
-                        Some(markers) => Sample::Markers(markers.clone()),
-                        None => continue,
-                    }
-                }
-                _ => continue,
-            };
-            let arrival = i64::try_from(message.log_time).unwrap_or(i64::MAX);
-            samples.push((Stamp::from_nanos(arrival), sample));
-        }
-        let truth = read_truth(&folder.join("truth.mcap"), topics::GROUND_TRUTH, &mut vec![])?;
-        Ok(Self { rig, samples, truth })
+            }
+            _ => continue,
+        };
+        let arrival = i64::try_from(message.log_time).unwrap_or(i64::MAX);
+        samples.push((Stamp::from_nanos(arrival), sample));
     }
+    let truth = read_truth(&folder.join("truth.mcap"), topics::GROUND_TRUTH, &mut vec![])?;
+    Ok((rig, samples, truth))
 }
 
 /// Reads the messages on a topic; `map` gets the log time, ns, and the message of each.

@@ -10,6 +10,7 @@ use std::{
     process::Command,
 };
 use tempfile::TempDir;
+use test_support::place::names;
 use volant_msgs::{
     cdr, msg::MarkerObservations, sensor_msgs::msg::Image, std_msgs::msg::String as Text,
 };
@@ -66,15 +67,6 @@ fn texts(messages: &[BagMessage]) -> Vec<String> {
 
 fn written(numbers: Range<u64>) -> Vec<String> {
     numbers.map(|i| format!("message {i}")).collect()
-}
-
-/// Names of the files in a folder, sorted.
-fn names(folder: &Path) -> Vec<String> {
-    let entries = fs::read_dir(folder).unwrap();
-    let mut names: Vec<_> =
-        entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
-    names.sort();
-    names
 }
 
 fn all_forms() -> impl Iterator<Item = (&'static str, WriteOptions)> {

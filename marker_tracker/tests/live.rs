@@ -5,8 +5,7 @@
 
 use marker_tracker::node::MarkerTrackerNode;
 use node_kit::{
-    NodeContext, NodeError, NodeShell, Process, Publisher, QosPreset, RosArguments, convert,
-    environment::Network,
+    NodeContext, NodeError, Process, QosPreset, RosArguments, convert, environment::Network,
 };
 use rig_model::{CameraModel, Distortion, topics};
 use std::{
@@ -15,7 +14,7 @@ use std::{
 };
 use volant_msgs::{
     diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus},
-    sensor_msgs::msg::{CameraInfo, Image},
+    sensor_msgs::msg::Image,
 };
 
 const DOMAIN: u16 = 163;
@@ -27,49 +26,45 @@ enum Event {
     Statuses(Arc<DiagnosticArray>),
 }
 
-/// Sends gray images of an empty floor, and collects the tracker's status.
-struct Camera {
-    images: Publisher<Image>,
-    infos: Publisher<CameraInfo>,
+/// Starts a node that sends gray images of an empty floor, and collects the tracker's status.
+fn start_camera(
+    process: &mut Process,
     statuses: mpsc::SyncSender<DiagnosticStatus>,
-    sent: usize,
-}
-
-impl NodeShell for Camera {
-    const NAME: &'static str = "camera";
-    type Parameters = ();
-    type Input = Event;
-
-    fn handle(&mut self, context: &mut NodeContext<Event>, event: Event) {
-        match event {
+) -> Result<(), NodeError> {
+    process.start_closure("camera", move |context: &mut NodeContext<Event>| {
+        context.timer(Duration::from_millis(50), || Event::Beat);
+        let diagnostics = topics::absolute::DIAGNOSTICS;
+        context.subscribe(diagnostics, QosPreset::State, |m| Some(Event::Statuses(m)))?;
+        let images = context.advertise(topics::IMAGE, QosPreset::Image)?;
+        let infos = context.advertise(topics::CAMERA_INFO, QosPreset::CameraInfo)?;
+        let (statuses, mut sent) = (statuses.clone(), 0_usize);
+        Ok(move |context: &mut NodeContext<Event>, event: Event| match event {
             Event::Beat => {
                 let (stamp, frame) = (context.now(), topics::frames::CAMERA);
                 let f = 300.0;
                 let lens = Distortion::PlumbBob([0.0; 5]);
                 let camera = CameraModel::new(WIDTH, HEIGHT, [f, f, 159.5, 119.5], lens).unwrap();
-                self.infos.publish(convert::camera_message(frame, stamp, &camera));
+                infos.publish(convert::camera_message(frame, stamp, &camera));
                 let size = (3 * WIDTH * HEIGHT) as usize;
-                self.images.publish(Image {
+                images.publish(Image {
                     header: convert::header(frame, stamp),
                     height: HEIGHT,
                     width: WIDTH,
                     encoding: "rgb8".to_owned(),
                     is_bigendian: 0,
                     step: 3 * WIDTH,
-                    data: (0..size)
-                        .map(|i| 90 + ((i / 3 * 7 + self.sent * 13) % 17) as u8)
-                        .collect(),
+                    data: (0..size).map(|i| 90 + ((i / 3 * 7 + sent * 13) % 17) as u8).collect(),
                 });
-                self.sent += 1;
+                sent += 1;
             }
             Event::Statuses(array) => {
                 let tracking = array.status.iter().find(|s| s.name == "marker_tracker: tracking");
                 if let Some(status) = tracking {
-                    let _ = self.statuses.try_send(status.clone());
+                    let _ = statuses.try_send(status.clone());
                 }
             }
-        }
-    }
+        })
+    })
 }
 
 fn value<'a>(status: &'a DiagnosticStatus, key: &str) -> &'a str {
@@ -84,15 +79,7 @@ fn no_debug_image_is_drawn_while_nobody_subscribes_to_it() {
     let rig = concat!(env!("CARGO_MANIFEST_DIR"), "/../launch_config/config/rig.yaml");
     arguments.add_file(rig.into()).unwrap();
     process.start::<MarkerTrackerNode>(&arguments).unwrap();
-    let start = move |context: &mut NodeContext<Event>, ()| -> Result<Camera, NodeError> {
-        context.timer(Duration::from_millis(50), || Event::Beat);
-        let diagnostics = topics::absolute::DIAGNOSTICS;
-        context.subscribe(diagnostics, QosPreset::State, |m| Some(Event::Statuses(m)))?;
-        let images = context.advertise(topics::IMAGE, QosPreset::Image)?;
-        let infos = context.advertise(topics::CAMERA_INFO, QosPreset::CameraInfo)?;
-        Ok(Camera { images, infos, statuses: sender.clone(), sent: 0 })
-    };
-    process.start_with::<Camera>(&RosArguments::default(), start).unwrap();
+    start_camera(&mut process, sender).unwrap();
     // The images show no marker, so that their brightness is measured.
     let status = loop {
         let status = statuses.recv_timeout(Duration::from_secs(20)).unwrap();

@@ -6,6 +6,7 @@ mod common;
 
 use common::minimal;
 use std::{path::Path, time::Duration};
+use test_support::process::wait_until;
 
 const LONG: Duration = Duration::from_secs(20);
 
@@ -51,11 +52,8 @@ fn the_console_and_the_file_can_be_turned_off() {
         [("ROS_LOG_DIR", folder.path().to_str().unwrap()), ("CYCLONEDDS_URI", "file:///x")];
     let quiet = ["--ros-args", "--disable-stdout-logs", "--log-file-name", "mine"];
     let node = minimal(58, &quiet, &environment);
-    let deadline = std::time::Instant::now() + LONG;
-    while !files(folder.path()).iter().any(|(_, text)| text.contains("CYCLONEDDS_URI")) {
-        assert!(std::time::Instant::now() < deadline);
-        std::thread::sleep(Duration::from_millis(50));
-    }
+    let logged = || files(folder.path()).iter().any(|(_, text)| text.contains("CYCLONEDDS_URI"));
+    assert!(wait_until(LONG, logged));
     assert!(files(folder.path()).iter().all(|(name, _)| name.starts_with("mine_")));
     node.signal("INT");
     let (_, lines) = node.finish(LONG);

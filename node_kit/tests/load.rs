@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{Listener, Timed, minimal, peer, python, start};
+use common::{listen, minimal, peer, python, start, timed};
 use node_kit::{NodeContext, Process, QosPreset, environment::Network};
 use std::{
     sync::{
@@ -82,22 +82,16 @@ fn a_reliable_message_wakes_each_event_loop_about_once() {
     let (sent, received) = (Arc::<AtomicU64>::default(), Arc::<AtomicU64>::default());
     let mut listener = Process::new(network()).unwrap();
     let count = Arc::clone(&received);
-    Listener::<Header>::launch(
-        &mut listener,
-        "listener",
-        "talk",
-        QosPreset::Measurement,
-        move || {
-            let count = Arc::clone(&count);
-            move |_: Arc<Header>| {
-                count.fetch_add(1, Ordering::Relaxed);
-            }
-        },
-    );
+    listen::<Header, _>(&mut listener, "listener", "talk", QosPreset::Measurement, move || {
+        let count = Arc::clone(&count);
+        move |_: Arc<Header>| {
+            count.fetch_add(1, Ordering::Relaxed);
+        }
+    });
     let mut talker = Process::new(network()).unwrap();
     let count = Arc::clone(&sent);
     // 200 messages per second on a reliable topic.
-    Timed::launch(&mut talker, "talker", Duration::from_millis(5), move |context| {
+    timed(&mut talker, "talker", Duration::from_millis(5), move |context| {
         let talk = context.advertise::<Header>("talk", QosPreset::Measurement)?;
         let count = Arc::clone(&count);
         Ok(move |_: &mut NodeContext<()>| {

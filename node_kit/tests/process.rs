@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{Listener, Timed};
+use common::{listen, timed};
 use node_kit::{NodeContext, Process, QosPreset, environment::Network};
 use std::{
     sync::{Arc, mpsc},
@@ -22,7 +22,7 @@ fn inside_it_is_the_same_image_outside_a_copy_and_each_comes_once() {
     let (sender, reports) = mpsc::sync_channel::<(&'static str, Arc<Image>)>(1000);
     let sink = |process: &mut Process, name: &'static str| {
         let reports = sender.clone();
-        Listener::<Image>::launch(process, name, "image", QosPreset::Image, move || {
+        listen::<Image, _>(process, name, "image", QosPreset::Image, move || {
             let reports = reports.clone();
             move |image: Arc<Image>| {
                 let _ = reports.try_send((name, image));
@@ -32,7 +32,7 @@ fn inside_it_is_the_same_image_outside_a_copy_and_each_comes_once() {
     let mut inside = Process::new(network(21)).unwrap();
     sink(&mut inside, "inside");
     let reports_of_source = sender.clone();
-    Timed::launch(&mut inside, "source", Duration::from_millis(20), move |context| {
+    timed(&mut inside, "source", Duration::from_millis(20), move |context| {
         let images = context.advertise::<Image>("image", QosPreset::Image)?;
         let (reports, mut number) = (reports_of_source.clone(), 0);
         Ok(move |_: &mut NodeContext<()>| {
@@ -70,10 +70,8 @@ fn inside_it_is_the_same_image_outside_a_copy_and_each_comes_once() {
 fn a_node_that_breaks_is_named_and_ends_the_process_in_order() {
     let mut process = Process::new(network(22)).unwrap();
     let period = Duration::from_millis(20);
-    Timed::launch(&mut process, "well", period, |_| Ok(|_: &mut NodeContext<()>| {}));
-    Timed::launch(&mut process, "broken", period, |_| {
-        Ok(|_: &mut NodeContext<()>| panic!("on purpose"))
-    });
+    timed(&mut process, "well", period, |_| Ok(|_: &mut NodeContext<()>| {}));
+    timed(&mut process, "broken", period, |_| Ok(|_: &mut NodeContext<()>| panic!("on purpose")));
     let error = process.wait().unwrap_err().to_string();
     assert!(error.contains("/broken") && error.contains("on purpose"), "{error}");
 }
@@ -81,7 +79,7 @@ fn a_node_that_breaks_is_named_and_ends_the_process_in_order() {
 #[test]
 fn a_handler_slower_than_its_timer_holds_up_nothing_else() {
     let mut process = Process::new(network(23)).unwrap();
-    Timed::launch(&mut process, "slow", Duration::from_millis(1), |_| {
+    timed(&mut process, "slow", Duration::from_millis(1), |_| {
         let mut left = 20;
         Ok(move |context: &mut NodeContext<()>| {
             std::thread::sleep(Duration::from_millis(3));

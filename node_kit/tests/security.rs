@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{Listener, Timed};
+use common::{listen, timed};
 use node_kit::{
     NodeContext, Process, QosPreset,
     environment::{Network, Security},
@@ -37,7 +37,7 @@ fn join(name: &str, security: Option<Security>, received: &Received) -> Process 
         Process::new(Network { domain_id: 31, security, ..Network::default() }).unwrap();
     let (talker, listener) = (format!("{name}_talker"), format!("{name}_listener"));
     let own = talker.clone();
-    Timed::launch(&mut process, &talker, Duration::from_millis(50), move |context| {
+    timed(&mut process, &talker, Duration::from_millis(50), move |context| {
         let secret = context.advertise::<Header>("/secret", QosPreset::State)?;
         let own = own.clone();
         Ok(move |_: &mut NodeContext<()>| {
@@ -45,7 +45,7 @@ fn join(name: &str, security: Option<Security>, received: &Received) -> Process 
         })
     });
     let (own, received) = (listener.clone(), Arc::clone(received));
-    Listener::<Header>::launch(&mut process, &listener, "/secret", QosPreset::State, move || {
+    listen::<Header, _>(&mut process, &listener, "/secret", QosPreset::State, move || {
         let (own, received) = (own.clone(), Arc::clone(&received));
         move |message: Arc<Header>| received.lock().push((own.clone(), message.frame_id.clone()))
     });

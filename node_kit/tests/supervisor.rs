@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{Timed, minimal, start};
+use common::{minimal, start, timed};
 use node_kit::{NodeContext, Process, environment::Network, scheduling::Scheduling};
 use std::{
     os::{
@@ -110,8 +110,8 @@ fn process_with_a_node_that_hangs(file: PathBuf) {
     let network = Network { domain_id: 54, ..Network::default() };
     let mut process = Process::new(network).unwrap();
     let period = Duration::from_millis(20);
-    Timed::launch(&mut process, "well", period, |_| Ok(|_: &mut NodeContext<()>| {}));
-    Timed::launch(&mut process, "hanging", period, move |_| {
+    timed(&mut process, "well", period, |_| Ok(|_: &mut NodeContext<()>| {}));
+    timed(&mut process, "hanging", period, move |_| {
         let file = file.clone();
         Ok(move |_: &mut NodeContext<()>| {
             while file.exists() {

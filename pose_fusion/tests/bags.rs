@@ -5,12 +5,12 @@ mod common;
 
 use common::{
     bags,
-    scoring::{self, Score, Truth},
+    scoring::{self, Score},
     simulated,
 };
 use pose_fusion::{Fusion, FusionConfig, Input, Model};
-use rig_model::{MarkerColor, Rig};
-use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
+use rig_model::MarkerColor;
+use rig_simulator::{inertial::SensorConfig, motion::MotionConfig, recording::Recording};
 
 #[test]
 fn bags_give_millimeters_and_a_consistent_covariance() {
@@ -22,7 +22,7 @@ fn bags_give_millimeters_and_a_consistent_covariance() {
     ] {
         let Some(bag) = bags::read(name, 0.1, 1) else { return };
         let mut fusion = Fusion::new(bag.rig.clone(), FusionConfig::default());
-        let outputs = scoring::run(&mut fusion, bag.samples.iter().map(|(_, i)| i.clone()));
+        let outputs = scoring::run(&mut fusion, bag.inputs());
         let score = scoring::score(&outputs.odometry, &bag.truth, 1.0);
         let (np, nr) = score.nees();
         assert!(
@@ -41,7 +41,7 @@ fn real_imu_samples_are_tracked_and_blows_are_followed() {
     {
         let Some(bag) = bags::read(name, 0.1, 1) else { return };
         let mut fusion = Fusion::new(bag.rig.clone(), FusionConfig::default());
-        let outputs = scoring::run(&mut fusion, bag.samples.iter().map(|(_, i)| i.clone()));
+        let outputs = scoring::run(&mut fusion, bag.inputs());
         let score = scoring::score(&outputs.odometry, &bag.truth, 1.0);
         let (np, nr) = score.nees();
         assert!(score.position_rmse() < position, "{name} {score}");
@@ -60,7 +60,7 @@ fn the_published_filter_runs_on_real_imu_samples() {
             let mut config = FusionConfig { model: Model::Paper, ..FusionConfig::default() };
             config.paper.velocity_from_fused = velocity_from_fused;
             let mut fusion = Fusion::new(bag.rig.clone(), config);
-            let outputs = scoring::run(&mut fusion, bag.samples.iter().map(|(_, i)| i.clone()));
+            let outputs = scoring::run(&mut fusion, bag.inputs());
             let score = scoring::score(&outputs.odometry, &bag.truth, 1.0);
             assert!(fusion.computes_attitude());
             let bound = if velocity_from_fused { 20.0 } else { 2000.0 };
@@ -77,63 +77,48 @@ struct Row {
     share: f64,
 }
 
-struct Scenario {
-    name: String,
-    rig: Rig,
-    inputs: Vec<Input>,
-    truth: Truth,
+fn fused(
+    run: &Recording,
+    config: FusionConfig,
+    from: f64,
+    inputs: impl Iterator<Item = Input>,
+) -> Row {
+    let mut fusion = Fusion::new(run.rig.clone(), config);
+    let outputs = scoring::run(&mut fusion, inputs);
+    Row { score: scoring::score(&outputs.odometry, &run.truth, from), share: 1.0 }
 }
 
-impl Scenario {
-    fn simulated(name: &str, motion: MotionConfig, sensors: &SensorConfig) -> Self {
-        let run = simulated::run(motion, sensors);
-        let inputs = run.inputs.into_iter().map(|(_, i)| i).collect();
-        Self { name: format!("simulated: {name}"), rig: simulated::rig(), inputs, truth: run.truth }
-    }
-
-    fn fused(&self, config: FusionConfig, from: f64, inputs: impl Iterator<Item = Input>) -> Row {
-        let mut fusion = Fusion::new(self.rig.clone(), config);
-        let outputs = scoring::run(&mut fusion, inputs);
-        Row { score: scoring::score(&outputs.odometry, &self.truth, from), share: 1.0 }
-    }
-
-    /// tight; paper; paper with the velocity from the fused poses; visual alone; IMU alone.
-    fn rows(&self) -> [Row; 5] {
-        let all = || self.inputs.iter().cloned();
-        let paper = |velocity_from_fused| {
-            let mut config = FusionConfig { model: Model::Paper, ..FusionConfig::default() };
-            config.paper.velocity_from_fused = velocity_from_fused;
-            self.fused(config, 1.0, all())
-        };
-        let mut fusion = Fusion::new(self.rig.clone(), FusionConfig::default());
-        let outputs = scoring::run(&mut fusion, all());
-        let mut visual = Row { score: Score::default(), share: 0.0 };
-        for p in &outputs.visual {
-            let late = p.stamp.seconds_since(scoring::start(&self.truth)) >= 1.0;
-            if let (true, Some(truth)) = (late, scoring::pose_at(&self.truth, p.stamp)) {
-                visual.score.add(&p.pose, &p.covariance, &truth);
-            }
+/// tight; paper; paper with the velocity from the fused poses; visual alone; IMU alone.
+fn rows(run: &Recording) -> [Row; 5] {
+    let paper = |velocity_from_fused| {
+        let mut config = FusionConfig { model: Model::Paper, ..FusionConfig::default() };
+        config.paper.velocity_from_fused = velocity_from_fused;
+        fused(run, config, 1.0, run.inputs())
+    };
+    let mut fusion = Fusion::new(run.rig.clone(), FusionConfig::default());
+    let outputs = scoring::run(&mut fusion, run.inputs());
+    let mut visual = Row { score: Score::default(), share: 0.0 };
+    for p in &outputs.visual {
+        let late = p.stamp.seconds_since(run.start()) >= 1.0;
+        if let (true, Some(truth)) = (late, run.pose_at(p.stamp)) {
+            visual.score.add(&p.pose, &p.covariance, &truth);
         }
-        let images = all().filter(|i| matches!(i, Input::Markers(_))).count();
-        visual.share = outputs.visual.len() as f64 / images as f64;
-        let tight = Row { score: scoring::score(&outputs.odometry, &self.truth, 1.0), share: 1.0 };
-        // The IMU alone: no marker after the first three seconds.
-        let blind = scoring::start(&self.truth).plus_seconds(3.0);
-        let without = all().filter(|i| !matches!(i, Input::Markers(m) if m.stamp > blind));
-        let inertial = self.fused(FusionConfig::default(), 3.0, without);
-        [tight, paper(false), paper(true), visual, inertial]
     }
+    let images = run.inputs().filter(|i| matches!(i, Input::Markers(_))).count();
+    visual.share = outputs.visual.len() as f64 / images as f64;
+    let tight = Row { score: scoring::score(&outputs.odometry, &run.truth, 1.0), share: 1.0 };
+    // The IMU alone: no marker after the first three seconds.
+    let blind = run.start().plus_seconds(3.0);
+    let without = run.inputs().filter(|i| !matches!(i, Input::Markers(m) if m.stamp > blind));
+    let inertial = fused(run, FusionConfig::default(), 3.0, without);
+    [tight, paper(false), paper(true), visual, inertial]
 }
 
 #[test]
 fn table_of_the_filter_beside_the_published_one_visual_and_inertial_alone() {
-    let mut scenarios: Vec<Scenario> = ["nominal", "occlude_two", "clutter", "fast_swing"]
+    let mut scenarios: Vec<Recording> = ["nominal", "occlude_two", "clutter", "fast_swing"]
         .into_iter()
-        .filter_map(|name| {
-            let bag = bags::read(name, 0.1, 1)?;
-            let inputs = bag.samples.into_iter().map(|(_, i)| i).collect();
-            Some(Scenario { name: format!("bag: {name}"), rig: bag.rig, inputs, truth: bag.truth })
-        })
+        .filter_map(|name| bags::read(name, 0.1, 1))
         .collect();
     let nominal = || MotionConfig { duration: 20.0, ..MotionConfig::nominal(1) };
     let plain = SensorConfig::nominal(1);
@@ -164,7 +149,8 @@ fn table_of_the_filter_beside_the_published_one_visual_and_inertial_alone() {
             SensorConfig { imu_noise_factor: 10.0, ..plain },
         ),
     ] {
-        scenarios.push(Scenario::simulated(name, motion, &sensors));
+        let name = format!("simulated: {name}");
+        scenarios.push(Recording { name, ..simulated::run(motion, &sensors).recording });
     }
     println!(
         "RMSE of position (mm) and rotation (deg), from 1 s on (IMU alone: from 3 s on, blind \
@@ -176,7 +162,7 @@ fn table_of_the_filter_beside_the_published_one_visual_and_inertial_alone() {
     );
     println!("| --- | --- | --- | --- | --- | --- |");
     for scenario in &scenarios {
-        let rows = scenario.rows();
+        let rows = rows(scenario);
         let cell = |row: &Row| {
             format!("{:.2} / {:.3}", row.score.position_rmse(), row.score.rotation_rmse())
         };

@@ -118,7 +118,7 @@ fn a_constant_offset_of_the_climber_is_configured() {
     let (_, outputs) = scoring::follow(config, run.inputs());
     let mut visual = Score::default();
     for p in &outputs.visual {
-        visual.add(&p.pose, &p.covariance, &scoring::pose_at(&run.truth, p.stamp).unwrap());
+        visual.add(&p.pose, &p.covariance, &run.pose_at(p.stamp).unwrap());
     }
     assert!(visual.position_rmse() < 5.0, "{visual}");
 }
@@ -193,7 +193,7 @@ fn changing(seed: u64, by: f64) -> (simulated::Run, Vec<Input>) {
 
 fn changing_in(motion: MotionConfig, seed: u64, by: f64) -> (simulated::Run, Vec<Input>) {
     let run = simulated::run(motion, &SensorConfig::nominal(seed));
-    let change = scoring::start(&run.truth).plus_seconds(CHANGE);
+    let change = run.start().plus_seconds(CHANGE);
     let inputs = run.changed(|_, input| shift(input, |at| if at > change { by } else { 0.0 }));
     (run, inputs)
 }
@@ -237,8 +237,7 @@ fn a_frozen_filter_keeps_its_pose_when_the_offset_changes() {
         fusion.handle(input);
         while fusion.poll().is_some() {}
         let searches = fusion.status().time_offset.searching;
-        let since =
-            fusion.status().newest_imu.map(|at| at.seconds_since(scoring::start(&run.truth)));
+        let since = fusion.status().newest_imu.map(|at| at.seconds_since(run.start()));
         if since.is_some_and(|s| s > CHANGE) && searches && frozen == 0 {
             fusion.freeze(true).unwrap();
             frozen = 1;
@@ -375,9 +374,9 @@ fn a_recording_with_shifted_camera_and_climber_is_tracked() {
     for name in ["nominal", "occlude_two", "clutter", "fast_swing"] {
         for ahead in [0.0, 0.04, -0.03, 0.2] {
             let Some(mut bag) = bags::read(name, 0.1, 1) else { return };
-            bag.samples.iter_mut().for_each(|(_, input)| shift(input, |_| ahead));
+            bag.inputs.iter_mut().for_each(|(_, input)| shift(input, |_| ahead));
             let mut fusion = Fusion::new(bag.rig.clone(), FusionConfig::default());
-            let outputs = scoring::run(&mut fusion, bag.samples.iter().map(|(_, i)| i.clone()));
+            let outputs = scoring::run(&mut fusion, bag.inputs());
             let (score, status) =
                 (scoring::score(&outputs.odometry, &bag.truth, 6.0), fusion.status());
             assert!(

@@ -1,8 +1,7 @@
 //! Sensor data of a motion: IMU samples, encoder samples and marker coordinates in order of
 //! arrival.
 //!
-//! Input: a [`Motion`], a [`Rig`], a [`CameraModel`] and a [`SensorConfig`]. Output: a
-//! [`Recording`].
+//! Input: a [`Motion`], a [`Rig`], a [`CameraModel`] and a [`SensorConfig`]. Output: [`Samples`].
 
 use crate::{motion::Motion, random::Random};
 use nalgebra::{Matrix2, Matrix3, UnitQuaternion, Vector2, Vector3};
@@ -92,7 +91,7 @@ impl SensorConfig {
 }
 
 /// The samples of a run with their times of arrival, in order of arrival; none is of the camera.
-pub type Recording = Vec<(Stamp, Sample)>;
+pub type Samples = Vec<(Stamp, Sample)>;
 
 /// The sensors of one rig.
 #[derive(Clone, Debug)]
@@ -144,7 +143,7 @@ impl<'a> Sensors<'a> {
     }
 
     /// Every IMU sample with its arrival.
-    pub fn imu(&self) -> Recording {
+    pub fn imu(&self) -> Samples {
         let c = self.config;
         let mut r = Random::fork(c.seed, "imu");
         let accel_sigma =
@@ -209,7 +208,7 @@ impl<'a> Sensors<'a> {
     }
 
     /// Every encoder sample with its arrival.
-    pub fn climber(&self) -> Recording {
+    pub fn climber(&self) -> Samples {
         let c = self.config;
         let mut r = Random::fork(c.seed, "climber");
         let count = (self.motion.duration() * c.climber_rate) as usize;
@@ -228,7 +227,7 @@ impl<'a> Sensors<'a> {
     }
 
     /// Every image's markers with their arrival.
-    pub fn markers(&self) -> Recording {
+    pub fn markers(&self) -> Samples {
         let c = self.config;
         let mut r = Random::fork(c.seed, "markers");
         let count = ((self.motion.duration() - 0.08) * c.image_rate) as usize;
@@ -279,7 +278,7 @@ impl<'a> Sensors<'a> {
     }
 
     /// All samples in order of arrival.
-    pub fn record(&self) -> Recording {
+    pub fn record(&self) -> Samples {
         let mut all = self.imu();
         all.extend(self.climber());
         all.extend(self.markers());

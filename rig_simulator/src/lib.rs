@@ -7,6 +7,7 @@ pub mod motion;
 pub mod parallel;
 pub mod platform;
 pub mod random;
+pub mod recording;
 pub mod render;
 pub mod shadow;
 

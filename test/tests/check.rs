@@ -13,7 +13,7 @@ use std::{
 };
 use volant_test::{
     check::{Bench, FAULTS, Fault, findings_while_running},
-    robustness::recording::Recording,
+    robustness::recording::read,
 };
 
 /// Faults of the short form; `make checks` has all of them, on recordings too.
@@ -90,7 +90,7 @@ fn the_running_filter_reports_nothing_in_recordings_with_correct_files() {
     let Some(shared) = test_support::recordings() else { return };
     let bags = fs::read_dir(shared.join("bags")).unwrap().map(|entry| entry.unwrap().path());
     for folder in bags.filter(|folder| folder.join("truth.mcap").is_file()) {
-        let found = findings_while_running(&Recording::read(&folder, None).unwrap());
+        let found = findings_while_running(&read(&folder, None).unwrap());
         assert!(found.is_empty(), "{}: {found:?}", folder.display());
     }
 }

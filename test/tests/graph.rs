@@ -4,8 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test")]
 
 use node_kit::{
-    NodeContext, NodeError, NodeShell, Process, Publisher, QosPreset, RosArguments, convert::time,
-    environment::Network,
+    NodeContext, NodeError, Process, Publisher, QosPreset, convert::time, environment::Network,
 };
 use std::{
     path::Path,
@@ -13,7 +12,7 @@ use std::{
     sync::{Arc, mpsc},
     time::{Duration, Instant},
 };
-use test_support::process::Running;
+use test_support::process::{Running, wait_until};
 use volant_msgs::{
     diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus},
     sensor_msgs::msg::JointState,
@@ -28,33 +27,33 @@ enum Input {
     Statuses(Arc<DiagnosticArray>),
 }
 
-/// Publishes joint states in three namespaces and passes statuses on.
-struct Observer {
-    joints: Vec<Publisher<JointState>>,
+/// Starts a node that publishes joint states in two namespaces and passes statuses on.
+fn start_observer(
+    process: &mut Process,
     statuses: mpsc::SyncSender<DiagnosticStatus>,
-}
-
-impl NodeShell for Observer {
-    const NAME: &'static str = "observer";
-    type Parameters = ();
-    type Input = Input;
-
-    fn handle(&mut self, context: &mut NodeContext<Input>, input: Input) {
-        match input {
+) -> Result<(), NodeError> {
+    process.start_closure("observer", move |context: &mut NodeContext<Input>| {
+        context.timer(Duration::from_millis(20), || Input::Beat);
+        context.subscribe("/diagnostics", QosPreset::State, |m| Some(Input::Statuses(m)))?;
+        let joints = ["/climber/joint_states", "/rig2/climber/joint_states"]
+            .map(|topic| context.advertise(topic, QosPreset::State));
+        let joints: Vec<Publisher<JointState>> = joints.into_iter().collect::<Result<_, _>>()?;
+        let statuses = statuses.clone();
+        Ok(move |context: &mut NodeContext<Input>, input: Input| match input {
             Input::Beat => {
                 let mut message = JointState::default();
                 message.header.stamp = time(context.now());
                 message.name = ["rail_x", "rail_y", "turn"].map(str::to_owned).to_vec();
                 message.position = vec![0.0; 3];
-                self.joints.iter().for_each(|topic| topic.publish(message.clone()));
+                joints.iter().for_each(|topic| topic.publish(message.clone()));
             }
             Input::Statuses(array) => {
                 for status in &array.status {
-                    let _ = self.statuses.try_send(status.clone());
+                    let _ = statuses.try_send(status.clone());
                 }
             }
-        }
-    }
+        })
+    })
 }
 
 /// A domain: its nodes' logs and diagnostics.
@@ -70,16 +69,7 @@ impl Observed {
         let (sender, statuses) = mpsc::sync_channel(10_000);
         let mut process =
             Process::new(Network { domain_id: domain, ..Network::default() }).unwrap();
-        let start = move |context: &mut NodeContext<Input>, ()| -> Result<Observer, NodeError> {
-            context.timer(Duration::from_millis(20), || Input::Beat);
-            context.subscribe("/diagnostics", QosPreset::State, |m| Some(Input::Statuses(m)))?;
-            let joints = ["/climber/joint_states", "/rig2/climber/joint_states"]
-                .into_iter()
-                .map(|topic| context.advertise(topic, QosPreset::State))
-                .collect::<Result<_, _>>()?;
-            Ok(Observer { joints, statuses: sender.clone() })
-        };
-        process.start_with::<Observer>(&RosArguments::default(), start).unwrap();
+        start_observer(&mut process, sender).unwrap();
         Self { domain, logs: tempfile::tempdir().unwrap(), _process: process, statuses }
     }
 
@@ -114,11 +104,7 @@ impl Observed {
 
 fn end(mut node: Node) {
     node.signal(Signal::TERM).unwrap();
-    let deadline = Instant::now() + LONG;
-    while node.ended().is_none() {
-        assert!(Instant::now() < deadline, "{} does not end", node.name);
-        std::thread::sleep(Duration::from_millis(10));
-    }
+    assert!(wait_until(LONG, || node.ended().is_some()), "{} does not end", node.name);
 }
 
 const OK: u8 = DiagnosticStatus::OK;

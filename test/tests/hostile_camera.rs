@@ -2,10 +2,7 @@
 #![allow(clippy::disallowed_methods, reason = "a test that waits")]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test")]
 
-use node_kit::{
-    NodeContext, NodeError, NodeShell, Process, Publisher, QosPreset, RosArguments, convert,
-    environment::Network,
-};
+use node_kit::{NodeContext, NodeError, Process, QosPreset, convert, environment::Network};
 use rig_model::{Stamp, topics};
 use std::{
     collections::HashSet,
@@ -13,7 +10,8 @@ use std::{
     time::{Duration, Instant},
 };
 use volant_msgs::{
-    diagnostic_msgs::msg::DiagnosticArray, msg::MarkerObservations,
+    diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus},
+    msg::MarkerObservations,
     sensor_msgs::msg::CompressedImage,
 };
 use volant_test::live::processes::Node;
@@ -58,42 +56,39 @@ enum Report {
     Tracking(String),
 }
 
-struct Camera {
-    images: Publisher<CompressedImage>,
-    reports: mpsc::SyncSender<Report>,
-    sent: usize,
-    answered: bool,
-}
-
-impl NodeShell for Camera {
-    const NAME: &'static str = "camera";
-    type Parameters = ();
-    type Input = Event;
-
-    fn handle(&mut self, context: &mut NodeContext<Event>, event: Event) {
-        let report = match event {
-            Event::Beat => {
-                // Hostile ones only after the tracker has been discovered.
-                let hostile = self.answered && self.sent % 2 == 1;
-                let data = if hostile { bomb(self.sent) } else { jpeg(self.sent, 1) };
-                let stamp = context.now();
-                let header = convert::header(topics::frames::CAMERA, stamp);
-                self.images.publish(CompressedImage { header, format: "jpeg".to_owned(), data });
-                self.sent += 1;
-                Report::Sent { stamp, hostile }
-            }
-            Event::Markers(message) => {
-                self.answered = true;
-                Report::Answered(convert::stamp(&message.header.stamp))
-            }
-            Event::Statuses(array) => {
-                let tracking = array.status.iter().find(|s| s.name == "marker_tracker: tracking");
-                let Some(status) = tracking else { return };
-                Report::Tracking(status.message.clone())
-            }
-        };
-        let _ = self.reports.try_send(report);
-    }
+fn start_camera(process: &mut Process, reports: mpsc::SyncSender<Report>) -> Result<(), NodeError> {
+    process.start_closure("camera", move |context: &mut NodeContext<Event>| {
+        context.timer(Duration::from_millis(100), || Event::Beat);
+        context.subscribe(topics::MARKERS, QosPreset::Measurement, |m| Some(Event::Markers(m)))?;
+        let diagnostics = topics::absolute::DIAGNOSTICS;
+        context.subscribe(diagnostics, QosPreset::State, |m| Some(Event::Statuses(m)))?;
+        let images = context.advertise(topics::COMPRESSED_IMAGE, QosPreset::Image)?;
+        let (reports, mut sent, mut answered) = (reports.clone(), 0, false);
+        Ok(move |context: &mut NodeContext<Event>, event: Event| {
+            let report = match event {
+                Event::Beat => {
+                    // Hostile ones only after the tracker has been discovered.
+                    let hostile = answered && sent % 2 == 1;
+                    let data = if hostile { bomb(sent) } else { jpeg(sent, 1) };
+                    let stamp = context.now();
+                    let header = convert::header(topics::frames::CAMERA, stamp);
+                    images.publish(CompressedImage { header, format: "jpeg".to_owned(), data });
+                    sent += 1;
+                    Report::Sent { stamp, hostile }
+                }
+                Event::Markers(message) => {
+                    answered = true;
+                    Report::Answered(convert::stamp(&message.header.stamp))
+                }
+                Event::Statuses(array) => {
+                    let of_tracker = |s: &&DiagnosticStatus| s.name == "marker_tracker: tracking";
+                    let Some(status) = array.status.iter().find(of_tracker) else { return };
+                    Report::Tracking(status.message.clone())
+                }
+            };
+            let _ = reports.try_send(report);
+        })
+    })
 }
 
 #[test]
@@ -107,15 +102,7 @@ fn a_jpeg_with_hundreds_of_scans_is_refused_and_the_tracker_goes_on() {
 
     let (sender, reports) = mpsc::sync_channel(10_000);
     let mut process = Process::new(Network { domain_id: DOMAIN, ..Network::default() }).unwrap();
-    let start = move |context: &mut NodeContext<Event>, ()| -> Result<Camera, NodeError> {
-        context.timer(Duration::from_millis(100), || Event::Beat);
-        context.subscribe(topics::MARKERS, QosPreset::Measurement, |m| Some(Event::Markers(m)))?;
-        let diagnostics = topics::absolute::DIAGNOSTICS;
-        context.subscribe(diagnostics, QosPreset::State, |m| Some(Event::Statuses(m)))?;
-        let images = context.advertise(topics::COMPRESSED_IMAGE, QosPreset::Image)?;
-        Ok(Camera { images, reports: sender.clone(), sent: 0, answered: false })
-    };
-    process.start_with::<Camera>(&RosArguments::default(), start).unwrap();
+    start_camera(&mut process, sender).unwrap();
 
     let deadline = Instant::now() + Duration::from_secs(60);
     let (mut good, mut hostile) = (HashSet::new(), HashSet::new());

@@ -3,12 +3,13 @@
 #![allow(missing_docs, clippy::unwrap_used)]
 
 use pose_fusion::FusionConfig;
+use rig_simulator::recording::Recording;
 use std::process::Command;
 use volant_test::{
     live::processes::executables,
     robustness::{
-        perturbation::{Perturbation, TABLE},
-        recording::Recording,
+        perturbation::{PERTURBED_FROM, Perturbation, TABLE},
+        recording::read,
         score,
         table::{Bench, pairs},
     },
@@ -17,11 +18,11 @@ use volant_test::{
 /// The recording of a name with the true centroids and 0.1 px of noise, where there are recordings.
 fn recording(name: &str) -> Option<Recording> {
     let folder = test_support::recordings()?.join("bags").join(name);
-    Some(Recording::read(&folder, None).unwrap())
+    Some(read(&folder, None).unwrap())
 }
 
 fn bench(name: &str) -> Option<Bench> {
-    Some(Bench::new(recording(name)?, FusionConfig::default()))
+    Some(Bench::new(recording(name)?, FusionConfig::default(), PERTURBED_FROM))
 }
 
 const BAGS: [&str; 7] =
@@ -74,8 +75,7 @@ fn a_sensor_that_fails_while_the_filter_starts_does_no_lasting_harm() {
     for name in BAGS {
         let Some(recording) = recording(name) else { return };
         for from in [0.5, 1.0, 1.5, 2.0, 2.5] {
-            let recording = Recording { perturbed_from: from, ..recording.clone() };
-            let bench = Bench::new(recording, FusionConfig::default());
+            let bench = Bench::new(recording.clone(), FusionConfig::default(), from);
             for perturbation in TABLE {
                 let wrong = matches!(perturbation, EncoderOff(..));
                 let recovers =

@@ -71,7 +71,7 @@ mod with_keys {
     use super::*;
     use bag::BagReader;
     use node_kit::{
-        Level, NodeContext, NodeError, NodeShell, Process, QosPreset, RosArguments,
+        Level, NodeContext, Process, QosPreset,
         environment::{DiscoveryRange, Network, Security},
     };
     use std::{
@@ -90,43 +90,29 @@ mod with_keys {
         folder.to_owned()
     }
 
-    /// Publishes on [`TOPIC`] at 20 Hz and counts what it receives on `/back`.
-    struct Robot {
-        publisher: node_kit::Publisher<Header>,
-        received: Arc<AtomicU64>,
-    }
-
     enum Input {
         Beat,
         Received,
     }
 
-    impl NodeShell for Robot {
-        const NAME: &'static str = "robot";
-        type Parameters = ();
-        type Input = Input;
-
-        fn handle(&mut self, context: &mut NodeContext<Input>, input: Input) {
-            match input {
-                Input::Beat => self.publisher.publish(Header::default()),
-                Input::Received => {
-                    context.log(Level::Debug, "received");
-                    self.received.fetch_add(1, Ordering::Relaxed);
-                }
-            }
-        }
-    }
-
+    /// Publishes on [`TOPIC`] at 20 Hz and counts what it receives on `/back`.
     fn robot(network: Network, received: &Arc<AtomicU64>) -> Process {
         let mut process = Process::new(network).unwrap();
         let received = Arc::clone(received);
-        let start = move |context: &mut NodeContext<Input>, ()| -> Result<Robot, NodeError> {
+        let started = process.start_closure("robot", move |context: &mut NodeContext<Input>| {
             context.timer(Duration::from_millis(50), || Input::Beat);
             context.subscribe("/back", QosPreset::State, |_: Arc<Header>| Some(Input::Received))?;
-            let publisher = context.advertise(TOPIC, QosPreset::State)?;
-            Ok(Robot { publisher, received: Arc::clone(&received) })
-        };
-        process.start_with::<Robot>(&RosArguments::default(), start).unwrap();
+            let publisher = context.advertise::<Header>(TOPIC, QosPreset::State)?;
+            let received = Arc::clone(&received);
+            Ok(move |context: &mut NodeContext<Input>, input: Input| match input {
+                Input::Beat => publisher.publish(Header::default()),
+                Input::Received => {
+                    context.log(Level::Debug, "received");
+                    received.fetch_add(1, Ordering::Relaxed);
+                }
+            })
+        });
+        started.unwrap();
         process
     }
 

@@ -3,9 +3,9 @@
 use imu_driver::simulated_imu::{SimulatedImuConfig, SimulatedSample, pty::PtyImu, pty::now};
 use nalgebra::{UnitQuaternion, Vector3};
 use node_kit::{
-    RosArguments, convert,
+    convert,
     environment::Network,
-    node::{NodeContext, NodeError, NodeShell, Process},
+    node::{NodeContext, NodeError, Process},
     qos::QosPreset,
 };
 use rig_model::{Stamp, topics};
@@ -14,7 +14,7 @@ use std::{
     sync::{Arc, Mutex, MutexGuard, PoisonError},
     time::Duration,
 };
-use test_support::process::{Running, in_domain};
+use test_support::process::{Running, in_domain, wait_until};
 use volant_msgs::{
     Message,
     diagnostic_msgs::msg::DiagnosticArray,
@@ -67,23 +67,16 @@ fn subscribe<M: Message>(
     })
 }
 
-struct Subscriber;
-
-impl NodeShell for Subscriber {
-    const NAME: &'static str = "subscriber";
-    type Parameters = ();
-    type Input = ();
-
-    fn start(context: &mut NodeContext<()>, (): ()) -> Result<Self, NodeError> {
+/// Starts a node that keeps the messages of the driver.
+fn start_subscriber(process: &mut Process) -> Result<(), NodeError> {
+    process.start_closure("subscriber", |context: &mut NodeContext<()>| {
         let [tf, diagnostics] = [topics::absolute::TF_STATIC, topics::absolute::DIAGNOSTICS];
         subscribe(context, topics::IMU, QosPreset::Sensor, |r, at, m| r.imu.push((at, m)))?;
         subscribe(context, "imu/mag", QosPreset::Sensor, |r, _, m| r.field.push(m))?;
         subscribe(context, tf, QosPreset::Latched, |r, _, m| r.tf.push(m))?;
         subscribe(context, diagnostics, QosPreset::State, |r, _, m| r.diagnostics.push(m))?;
-        Ok(Self)
-    }
-
-    fn handle(&mut self, _: &mut NodeContext<()>, (): ()) {}
+        Ok(|_: &mut NodeContext<()>, ()| ())
+    })
 }
 
 /// True motion at `at`.
@@ -117,7 +110,7 @@ impl Harness {
         let imu = PtyImu::start(imu, &port, Box::new(motion)).unwrap();
         let network = Network { domain_id: domain, ..Network::default() };
         let mut subscriber = Process::new(network).unwrap();
-        subscriber.start::<Subscriber>(&RosArguments::default()).unwrap();
+        start_subscriber(&mut subscriber).unwrap();
         let node = Running::start(
             in_domain(domain, env!("CARGO_BIN_EXE_imu_driver"))
                 .env_remove("ROS_AUTOMATIC_DISCOVERY_RANGE")
@@ -135,14 +128,7 @@ impl Harness {
 
     /// Waits for `done`, for at most `seconds`; returns whether it was reached.
     pub fn wait(&self, seconds: f64, done: impl Fn(&Received) -> bool) -> bool {
-        let end = now().plus_seconds(seconds);
-        while now() < end {
-            if received(|r| done(r)) {
-                return true;
-            }
-            std::thread::sleep(Duration::from_millis(10));
-        }
-        false
+        wait_until(Duration::from_secs_f64(seconds), || received(|r| done(r)))
     }
 }
 

@@ -4,19 +4,12 @@ use std::{
     os::unix::fs::{PermissionsExt, symlink},
 };
 use tempfile::TempDir;
+use test_support::place::names;
 
 fn file(folder: &TempDir, name: &str, text: &str) -> PathBuf {
     let path = folder.path().join(name);
     fs::write(&path, text).unwrap();
     path
-}
-
-fn names(folder: &TempDir) -> Vec<String> {
-    let entries = fs::read_dir(folder).unwrap();
-    let mut names: Vec<_> =
-        entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
-    names.sort();
-    names
 }
 
 #[test]
@@ -43,12 +36,15 @@ fn a_file_appears_when_it_is_complete() {
     fs::write(&path, "of another").unwrap();
     assert!(matches!(output.commit(), Err(FileError::Exists { .. })));
     assert_eq!(
-        (fs::read_to_string(&path).unwrap().as_str(), names(&folder).len()),
+        (fs::read_to_string(&path).unwrap().as_str(), names(folder.path()).len()),
         ("of another", 1)
     );
     fs::remove_file(&path).unwrap();
     write(&path, b"new", false).unwrap();
-    assert_eq!((fs::read_to_string(&path).unwrap().as_str(), names(&folder).len()), ("new", 1));
+    assert_eq!(
+        (fs::read_to_string(&path).unwrap().as_str(), names(folder.path()).len()),
+        ("new", 1)
+    );
 }
 
 #[test]
@@ -65,7 +61,7 @@ fn an_existing_file_is_replaced_only_on_request_and_keeps_its_mode_and_links() {
     assert!(link.is_symlink());
     assert_eq!(fs::read_to_string(&path).unwrap(), "new");
     assert_eq!(fs::metadata(&path).unwrap().mode() & 0o777, 0o640);
-    assert_eq!(names(&folder), ["link", "out"]);
+    assert_eq!(names(folder.path()), ["link", "out"]);
     assert!(matches!(write(folder.path(), b"", true), Err(FileError::Folder { .. })));
 }
 

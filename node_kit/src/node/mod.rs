@@ -4,6 +4,7 @@
 mod bare;
 mod camera;
 mod clock;
+mod closure;
 mod context;
 mod control_services;
 mod devices;

@@ -141,13 +141,8 @@ impl Process {
         self.start_with(arguments, S::start)
     }
 
-    /// Starts a node whose shell is created by `start` instead of [`NodeShell::start`]: a closure
-    /// that owns what the shell shares with the rest of the program. It is called again when the
-    /// node is configured again.
-    ///
-    /// # Errors
-    /// As [`Process::start`].
-    pub fn start_with<S: NodeShell>(
+    /// Starts a node whose shell is created by `start` instead of [`NodeShell::start`].
+    pub(super) fn start_with<S: NodeShell>(
         &mut self,
         arguments: &RosArguments,
         start: impl FnMut(&mut NodeContext<S::Input>, S::Parameters) -> Result<S, NodeError>

@@ -20,15 +20,12 @@ pub trait NodeShell: Sized + 'static {
     /// Subscribes, advertises and starts the threads of devices.
     ///
     /// # Errors
-    /// Why the node cannot run; see [`NodeError::shell`]. A shell that needs more than its
-    /// parameters has no `start` of its own; it is started by
-    /// [`Process::start_with`](super::Process::start_with) alone.
+    /// Why the node cannot run; see [`NodeError::shell`]. A node that needs more than its
+    /// parameters is a closure: [`Process::start_closure`](super::Process::start_closure).
     fn start(
-        _context: &mut NodeContext<Self::Input>,
-        _parameters: Self::Parameters,
-    ) -> Result<Self, NodeError> {
-        Err(NodeError::shell(format!("{} needs the program that it is a part of", Self::NAME)))
-    }
+        context: &mut NodeContext<Self::Input>,
+        parameters: Self::Parameters,
+    ) -> Result<Self, NodeError>;
 
     /// Handles one input.
     fn handle(&mut self, context: &mut NodeContext<Self::Input>, input: Self::Input);

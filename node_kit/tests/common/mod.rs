@@ -2,10 +2,7 @@
 #![allow(dead_code, reason = "each test uses a part")]
 #![allow(clippy::unwrap_used, clippy::panic, clippy::disallowed_methods, reason = "tests")]
 
-use node_kit::{
-    NodeContext, NodeError, NodeShell, Process, QosPreset, RosArguments, environment::Network,
-    node::join,
-};
+use node_kit::{NodeContext, NodeError, Process, QosPreset, environment::Network, node::join};
 use ros2_client::{
     Context, Message, Name, Node, NodeName, NodeOptions, QosProfile, ServiceMapping,
     ServiceTypeName, qos::WhenFull, service::Client,
@@ -88,72 +85,36 @@ pub fn number(line: &str, key: &str) -> f64 {
     rest.split([',', '}']).next().unwrap().parse().unwrap()
 }
 
-/// A node that acts on a timer.
-pub struct Timed(OnTimer);
-
-type OnTimer = Box<dyn FnMut(&mut NodeContext<()>)>;
-
-impl Timed {
-    /// Starts a node of this name; `make` advertises its topics and returns what it does each
-    /// period.
-    pub fn launch<F: FnMut(&mut NodeContext<()>) + 'static>(
-        process: &mut Process,
-        name: &str,
-        period: Duration,
-        make: impl Fn(&mut NodeContext<()>) -> Result<F, NodeError> + Send + 'static,
-    ) {
-        process
-            .start_with::<Self>(&named(name), move |context, ()| {
-                context.timer(period, || ());
-                Ok(Self(Box::new(make(context)?)))
-            })
-            .unwrap();
-    }
+/// Starts a node that acts on a timer; `make` advertises its topics and returns what it does each
+/// period.
+pub fn timed<F: FnMut(&mut NodeContext<()>) + 'static>(
+    process: &mut Process,
+    name: &str,
+    period: Duration,
+    make: impl Fn(&mut NodeContext<()>) -> Result<F, NodeError> + Send + 'static,
+) {
+    process
+        .start_closure(name, move |context: &mut NodeContext<()>| {
+            context.timer(period, || ());
+            let mut act = make(context)?;
+            Ok(move |context: &mut NodeContext<()>, ()| act(context))
+        })
+        .unwrap();
 }
 
-impl NodeShell for Timed {
-    const NAME: &'static str = "timed";
-    type Parameters = ();
-    type Input = ();
-
-    fn handle(&mut self, context: &mut NodeContext<()>, (): ()) {
-        (self.0)(context);
-    }
-}
-
-/// A node that hands each message of a topic to a closure.
-pub struct Listener<M>(Box<dyn FnMut(Arc<M>)>);
-
-impl<M: volant_msgs::Message> Listener<M> {
-    /// Starts a node of this name; `make` returns what it does with a message.
-    pub fn launch<F: FnMut(Arc<M>) + 'static>(
-        process: &mut Process,
-        name: &str,
-        topic: &'static str,
-        preset: QosPreset,
-        make: impl Fn() -> F + Send + 'static,
-    ) {
-        process
-            .start_with::<Self>(&named(name), move |context, ()| {
-                context.subscribe(topic, preset, Some::<Arc<M>>)?;
-                Ok(Self(Box::new(make())))
-            })
-            .unwrap();
-    }
-}
-
-impl<M: volant_msgs::Message> NodeShell for Listener<M> {
-    const NAME: &'static str = "listener";
-    type Parameters = ();
-    type Input = Arc<M>;
-
-    fn handle(&mut self, _: &mut NodeContext<Arc<M>>, message: Arc<M>) {
-        (self.0)(message);
-    }
-}
-
-fn named(name: &str) -> RosArguments {
-    let mut arguments = RosArguments::default();
-    arguments.remap("__node", name);
-    arguments
+/// Starts a node that hands each message of a topic to the closure that `make` returns.
+pub fn listen<M: volant_msgs::Message, F: FnMut(Arc<M>) + 'static>(
+    process: &mut Process,
+    name: &str,
+    topic: &'static str,
+    preset: QosPreset,
+    make: impl Fn() -> F + Send + 'static,
+) {
+    process
+        .start_closure(name, move |context: &mut NodeContext<Arc<M>>| {
+            context.subscribe(topic, preset, Some::<Arc<M>>)?;
+            let mut take = make();
+            Ok(move |_: &mut NodeContext<Arc<M>>, message: Arc<M>| take(message))
+        })
+        .unwrap();
 }

@@ -13,7 +13,7 @@ use nalgebra::{
 use pose_fusion::TightConfig;
 use rig_model::{CameraModel, MarkerColor, MarkerState, Rig, Sample};
 use rig_simulator::{
-    inertial::{Recording, SensorConfig, Sensors},
+    inertial::{Samples, SensorConfig, Sensors},
     motion::Motion,
 };
 
@@ -150,7 +150,7 @@ fn transition(
 /// The bound at every `every`-th IMU sample of a recording.
 pub fn bound(
     scene: &Scene<'_>,
-    recording: &Recording,
+    recording: &Samples,
     settings: &TightConfig,
     every: usize,
 ) -> Vec<Best> {

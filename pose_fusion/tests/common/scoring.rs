@@ -1,19 +1,7 @@
 //! How far an estimate is from the truth, and whether it knows.
 
-use nalgebra::Isometry3;
 use pose_fusion::{Fusion, FusionConfig, Input, Odometry, Output, PoseEstimate, Swing};
-use rig_model::Stamp;
 pub use rig_model::score::{Nees, PoseError, Score, Truth};
-
-/// The true pose at an instant.
-pub fn pose_at(truth: &Truth, stamp: Stamp) -> Option<Isometry3<f64>> {
-    Some(truth.at(stamp)?.world_from_volant)
-}
-
-/// The first stamp of the truth.
-pub fn start(truth: &Truth) -> Stamp {
-    truth.span().unwrap().0
-}
 
 /// All outputs of a filter for a series of inputs.
 #[derive(Default)]
@@ -62,13 +50,11 @@ pub fn follow(config: FusionConfig, inputs: impl IntoIterator<Item = Input>) -> 
 
 /// The score of odometry from `from` seconds after the first truth on.
 pub fn score(odometry: &[Odometry], truth: &Truth, from: f64) -> Score {
+    let (start, _) = truth.span().unwrap();
     let mut score = Score::default();
-    for o in odometry {
-        if o.stamp.seconds_since(start(truth)) < from {
-            continue;
-        }
-        if let Some(pose) = pose_at(truth, o.stamp) {
-            score.add(&o.world_from_volant, &o.pose_covariance, &pose);
+    for o in odometry.iter().filter(|o| o.stamp.seconds_since(start) >= from) {
+        if let Some(truth) = truth.at(o.stamp) {
+            score.add(&o.world_from_volant, &o.pose_covariance, &truth.world_from_volant);
         }
     }
     score
@@ -81,7 +67,7 @@ pub fn errors(
 ) -> impl Iterator<Item = (f64, PoseError, [f64; 2])> {
     let epoch = rig_simulator::inertial::SensorConfig::nominal(0).epoch;
     odometry.iter().filter_map(move |o| {
-        let error = PoseError::new(&o.world_from_volant, &pose_at(truth, o.stamp)?);
+        let error = PoseError::new(&o.world_from_volant, &truth.at(o.stamp)?.world_from_volant);
         let nees = Nees::pair(&error, &o.pose_covariance);
         Some((o.stamp.seconds_since(epoch), error, nees))
     })

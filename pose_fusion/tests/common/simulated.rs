@@ -1,14 +1,13 @@
 //! The simulated rig as inputs of the filter, with its truth.
 
 use pose_fusion::{FusionConfig, Input, config::CalibrationSigmas};
-use rig_model::{
-    CameraModel, Distortion, Rig, Stamp,
-    score::{Truth, TruthSample},
-};
+use rig_model::{CameraModel, Distortion, Rig, Stamp};
 use rig_simulator::{
-    inertial::{SensorConfig, Sensors},
+    inertial::SensorConfig,
     motion::{Motion, MotionConfig},
+    recording::Recording,
 };
+use std::ops::{Deref, DerefMut};
 
 pub fn rig() -> Rig {
     Rig::from_yaml(rig_simulator::RIG_YAML).unwrap()
@@ -29,27 +28,20 @@ pub fn camera() -> CameraModel {
 
 pub struct Run {
     pub motion: Motion,
-    pub inputs: Vec<(Stamp, Input)>,
-    pub truth: Truth,
+    pub recording: Recording,
 }
 
-impl Run {
-    /// The inputs in the order of their arrival.
-    pub fn inputs(&self) -> impl Iterator<Item = Input> {
-        self.inputs.iter().map(|(_, input)| input.clone())
-    }
+impl Deref for Run {
+    type Target = Recording;
 
-    /// The inputs with their times of arrival since the epoch, s.
-    pub fn timed(&self) -> Vec<(f64, Input)> {
-        let epoch = self.inputs[0].0;
-        self.inputs.iter().map(|(at, input)| (at.seconds_since(epoch), input.clone())).collect()
+    fn deref(&self) -> &Recording {
+        &self.recording
     }
+}
 
-    /// The inputs, each changed with its time of arrival since the epoch, s.
-    pub fn changed(&self, mut change: impl FnMut(f64, &mut Input)) -> Vec<Input> {
-        let mut inputs = self.timed();
-        inputs.iter_mut().for_each(|(at, input)| change(*at, input));
-        inputs.into_iter().map(|(_, input)| input).collect()
+impl DerefMut for Run {
+    fn deref_mut(&mut self) -> &mut Recording {
+        &mut self.recording
     }
 }
 
@@ -65,23 +57,8 @@ pub fn stamp_of(input: &mut Input) -> Option<&mut Stamp> {
 
 pub fn run(motion: MotionConfig, sensors: &SensorConfig) -> Run {
     let motion = Motion::new(motion);
-    let (rig, camera) = (rig(), camera());
-    let recording = Sensors::new(&motion, &rig, &camera, sensors).record();
-    let mut inputs = vec![(sensors.epoch, Input::Camera(camera))];
-    inputs.extend(recording);
-    let count = (motion.duration() * 200.0) as i64;
-    let truth = (-10..count + 10)
-        .map(|i| {
-            let k = motion.kinematics(i as f64 * 0.005);
-            TruthSample {
-                stamp: sensors.epoch.plus_seconds(i as f64 * 0.005),
-                world_from_volant: k.world_from_volant,
-                linear_velocity: k.world_from_volant.rotation.inverse() * k.velocity,
-                angular_velocity: k.angular_velocity,
-            }
-        })
-        .collect();
-    Run { motion, inputs, truth: Truth::new(truth) }
+    let recording = Recording::simulated(rig(), camera(), &motion, sensors);
+    Run { motion, recording }
 }
 
 /// Six motions of 14 s, each with its seed: a swing and a fast swing in turns.

@@ -38,9 +38,9 @@ fn worst(
         // Known: at rest it is not found.
         config.tight.clock.camera_sigma = 0.0;
         let (_, outputs) = scoring::follow(config, inputs);
-        let start = scoring::start(&run.truth);
+        let start = run.start();
         for o in outputs.odometry.iter().filter(|o| o.stamp.seconds_since(start) > 3.0) {
-            let Some(truth) = scoring::pose_at(&run.truth, o.stamp) else { continue };
+            let Some(truth) = run.pose_at(o.stamp) else { continue };
             let off: Vector3<f64> =
                 o.world_from_volant.translation.vector - truth.translation.vector;
             let covariance = o.pose_covariance.fixed_view::<3, 3>(0, 0).into_owned();

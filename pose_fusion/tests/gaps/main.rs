@@ -234,7 +234,7 @@ fn blind_for(seconds: f64, motion: Swing, ropes: &[(&str, Rope)]) -> Vec<Score> 
             let (_, outputs) = scoring::follow(config, run.inputs());
             for o in outputs.odometry.iter().filter(|o| o.stamp.seconds_since(sensors.epoch) > 12.0)
             {
-                let truth = scoring::pose_at(&run.truth, o.stamp).unwrap();
+                let truth = run.pose_at(o.stamp).unwrap();
                 score.add(&o.world_from_volant, &o.pose_covariance, &truth);
             }
         }
@@ -299,11 +299,11 @@ fn a_single_false_marker_moves_no_pose_that_is_known() {
             });
             let (_, outputs) = scoring::follow(FusionConfig::default(), inputs);
             let error = |o: &&pose_fusion::Odometry| {
-                let truth = scoring::pose_at(&run.truth, o.stamp).unwrap();
+                let truth = run.pose_at(o.stamp).unwrap();
                 (o.world_from_volant.translation.vector - truth.translation.vector).norm()
             };
             let hidden = |o: &&pose_fusion::Odometry| {
-                (6.0..END).contains(&o.stamp.seconds_since(scoring::start(&run.truth)))
+                (6.0..END).contains(&o.stamp.seconds_since(run.start()))
             };
             let worst =
                 outputs.odometry.iter().filter(hidden).map(|o| error(&o)).fold(0.0, f64::max);

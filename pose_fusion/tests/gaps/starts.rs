@@ -75,13 +75,13 @@ fn scene(seed: u64) -> (MotionConfig, SensorConfig) {
 
 /// Largest change of the position error from one message to the next, m.
 fn largest_step(outputs: &Outputs, run: &simulated::Run) -> f64 {
-    let begin = scoring::start(&run.truth).plus_seconds(BEGINNING);
+    let begin = run.start().plus_seconds(BEGINNING);
     let errors: Vec<Vector3<f64>> = outputs
         .odometry
         .iter()
         .filter(|o| o.stamp >= begin)
         .filter_map(|o| {
-            let truth = scoring::pose_at(&run.truth, o.stamp)?;
+            let truth = run.pose_at(o.stamp)?;
             Some(o.world_from_volant.translation.vector - truth.translation.vector)
         })
         .collect();

@@ -39,7 +39,7 @@ fn poses(hidden: fn(f64) -> bool) -> Vec<Pose> {
         let (_, outputs) = scoring::follow(FusionConfig::default(), inputs);
         let pose = |o: &pose_fusion::Odometry| {
             let at = o.stamp.seconds_since(sensors.epoch);
-            let truth = scoring::pose_at(&run.truth, o.stamp).filter(|_| at > LOST + 1.0)?;
+            let truth = run.pose_at(o.stamp).filter(|_| at > LOST + 1.0)?;
             let status = outputs.status.iter().find(|status| status.stamp == o.stamp)?;
             Some((at, o.world_from_volant.rotation.angle_to(&truth.rotation), status.clone()))
         };
@@ -111,7 +111,7 @@ fn earlier(mut input: Input, seconds: f64) -> Input {
 fn the_angular_velocity_is_as_uncertain_as_images_leave_it() {
     let (run, outputs) =
         changed(|at, input| (at <= LOST || !matches!(input, Input::Imu(_))).then_some(input));
-    let after = scoring::start(&run.truth).plus_seconds(LOST + 1.0);
+    let after = run.start().plus_seconds(LOST + 1.0);
     let nees: Vec<f64> = (outputs.odometry.iter().filter(|o| o.stamp > after))
         .filter_map(|o| {
             let truth =
@@ -133,7 +133,7 @@ fn clocks_that_are_set_back_are_followed() {
         input if at > 6.0 => Some(earlier(input, 3.0)),
         input => Some(input),
     });
-    let start = scoring::start(&run.truth);
+    let start = run.start();
     let second = outputs.odometry.iter().position(|o| o.stamp.seconds_since(start) > 5.8).unwrap();
     let set_back = |o: &&pose_fusion::Odometry| o.stamp.seconds_since(start) < 5.8;
     let count = outputs.odometry[second..].iter().filter(set_back).count();

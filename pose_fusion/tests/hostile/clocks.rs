@@ -7,7 +7,7 @@ use super::*;
 #[test]
 fn a_clock_set_back_by_less_than_a_second_starts_again() {
     let run = recording();
-    let step = scoring::start(&run.truth).plus_seconds(3.0);
+    let step = run.start().plus_seconds(3.0);
     for (back, imu_alone) in [(0.05, true), (0.2, true), (0.05, false), (0.2, false), (0.7, false)]
     {
         let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
@@ -23,7 +23,7 @@ fn a_clock_set_back_by_less_than_a_second_starts_again() {
         // The filter knows of the step after four IMU samples.
         let noticed = step.plus_seconds(0.1);
         for visual in outputs.visual.iter().filter(|visual| visual.stamp > noticed) {
-            let truth = scoring::pose_at(&run.truth, visual.stamp).unwrap();
+            let truth = run.pose_at(visual.stamp).unwrap();
             let error = PoseError::new(&visual.pose, &truth).position.norm();
             assert!(error < 0.03, "one image alone {back} {imu_alone}: {error} m");
         }
@@ -41,7 +41,7 @@ fn a_clock_set_back_by_less_than_a_second_starts_again() {
 #[test]
 fn a_step_of_one_clock_moves_the_time_offset() {
     let run = recording();
-    let step = scoring::start(&run.truth).plus_seconds(2.0);
+    let step = run.start().plus_seconds(2.0);
     for (by, imu) in [
         (0.08, true),
         (0.2, true),
@@ -64,7 +64,7 @@ fn a_step_of_one_clock_moves_the_time_offset() {
         let moved = if imu { by } else { 0.0 };
         for visual in outputs.visual.iter().filter(|v| v.stamp > step.plus_seconds(1.2)) {
             let shift = if imu { 0.0 } else { -by };
-            let truth = scoring::pose_at(&run.truth, visual.stamp.plus_seconds(shift));
+            let truth = run.pose_at(visual.stamp.plus_seconds(shift));
             let error = truth.map(|truth| PoseError::new(&visual.pose, &truth).position.norm());
             assert!(
                 error.is_none_or(|error| error < 0.03),
@@ -74,7 +74,7 @@ fn a_step_of_one_clock_moves_the_time_offset() {
         let (mut score, mut wrong) = (scoring::Score::default(), 0.0f64);
         for (odometry, status) in outputs.odometry.iter().zip(valid(&outputs)) {
             let at = odometry.stamp.plus_seconds(-moved);
-            let truth = scoring::pose_at(&run.truth, at).unwrap();
+            let truth = run.pose_at(at).unwrap();
             let since = at.seconds_since(step);
             if since > 1.5 {
                 score.add(&odometry.world_from_volant, &odometry.pose_covariance, &truth);
@@ -98,7 +98,7 @@ fn a_step_of_one_clock_moves_the_time_offset() {
 #[test]
 fn a_frozen_filter_follows_a_step_of_a_clock_afterwards() {
     let run = recording();
-    let start = scoring::start(&run.truth);
+    let start = run.start();
     let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
     let mut frozen = false;
     for (at, input) in &run.inputs {

@@ -158,7 +158,7 @@ fn imu_samples_in_any_order_within_a_fifth_of_a_second_cost_no_accuracy() {
 #[test]
 fn imu_samples_stamped_ahead_hold_up_nothing() {
     let run = recording();
-    let step = scoring::start(&run.truth).plus_seconds(3.0);
+    let step = run.start().plus_seconds(3.0);
     let followed = |strays: &[f64]| {
         let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
         let mut done = false;
@@ -198,7 +198,7 @@ fn the_covariance_stays_consistent_without_vision() {
     let mut last: Option<&Odometry> = None;
     for o in &outputs.odometry {
         let t = o.stamp.seconds_since(epoch);
-        let truth = scoring::pose_at(&run.truth, o.stamp).unwrap();
+        let truth = run.pose_at(o.stamp).unwrap();
         let p = PoseError::new(&o.world_from_volant, &truth).position;
         for i in 0..3 {
             let sigma = o.pose_covariance[(i, i)].sqrt();
@@ -214,7 +214,7 @@ fn the_covariance_stays_consistent_without_vision() {
     assert!(outputs.warnings.iter().any(|w| matches!(w, Warning::PoseLost { .. })));
     // Back within two images.
     let back = outputs.odometry.iter().find(|o| o.stamp.seconds_since(epoch) > 9.12).unwrap();
-    let truth = scoring::pose_at(&run.truth, back.stamp).unwrap();
+    let truth = run.pose_at(back.stamp).unwrap();
     let p = PoseError::new(&back.world_from_volant, &truth).position;
     assert!(p.norm() < 0.01, "{p}");
 }
@@ -223,7 +223,7 @@ fn the_covariance_stays_consistent_without_vision() {
 #[test]
 fn imu_samples_from_before_the_first_pose_are_rejected() {
     let run = recording();
-    let begin = scoring::start(&run.truth);
+    let begin = run.start();
     let held_until = |release: Stamp| {
         let early = |s: &ImuSample| s.stamp.seconds_since(begin) < 0.3;
         let mut inputs = run.inputs.clone();
@@ -255,7 +255,7 @@ fn imu_samples_from_before_the_first_pose_are_rejected() {
 #[test]
 fn stamps_an_hour_ahead_have_no_lasting_effect_without_the_imu() {
     let run = recording();
-    let begin = scoring::start(&run.truth);
+    let begin = run.start();
     let at = |seconds: f64| begin.plus_seconds(seconds);
     let silent = |stamp: Stamp| (at(3.0)..at(3.6)).contains(&stamp);
     let found = |wrong: &dyn Fn(&Input) -> bool, when: f64, imu_from: f64, aheads: &[f64]| {
@@ -334,8 +334,7 @@ fn no_start_is_reported_as_lost() {
             };
             let motion = MotionConfig { duration: 1.0, ..MotionConfig::nominal(seed) };
             let run = simulated::run(motion, &sensors);
-            let (_, outputs) =
-                scoring::follow(FusionConfig::default(), run.inputs.into_iter().map(|(_, i)| i));
+            let (_, outputs) = scoring::follow(FusionConfig::default(), run.inputs());
             let lost: Vec<_> =
                 outputs.status.iter().filter(|s| s.reason.contains("no IMU sample")).collect();
             assert!(outputs.odometry.len() > 50 && lost.is_empty(), "{ahead} {seed}: {lost:?}");

@@ -3,9 +3,9 @@
 #![allow(clippy::disallowed_methods, reason = "a live test waits")]
 use super::*;
 use node_kit::{
-    RosArguments, convert,
+    convert,
     environment::Network,
-    node::{NodeContext, NodeError, NodeShell, Process, Publisher},
+    node::{NodeContext, NodeError, Process, Publisher},
     qos::QosPreset,
 };
 use rig_model::Stamp;
@@ -18,7 +18,7 @@ use std::{
     thread::sleep,
     time::{Duration, Instant},
 };
-use test_support::process::{Running, in_domain};
+use test_support::process::{Running, in_domain, wait_until};
 use volant_msgs::{
     Message,
     geometry_msgs::msg::{PoseWithCovarianceStamped, TransformStamped},
@@ -60,16 +60,6 @@ fn keep<M: Message>(
     })
 }
 
-struct Others;
-
-impl NodeShell for Others {
-    const NAME: &'static str = "others";
-    type Parameters = ();
-    type Input = ();
-
-    fn handle(&mut self, _: &mut NodeContext<()>, (): ()) {}
-}
-
 /// The rest of the rig, in a DDS domain of its own.
 struct Rig {
     publishers: RigPublishers,
@@ -81,7 +71,8 @@ impl Rig {
     fn start(domain_id: u16) -> Self {
         let received = Arc::<Received>::default();
         let (kept, (sender, publishers)) = (Arc::clone(&received), sync_channel(1));
-        let start = move |context: &mut NodeContext<()>, ()| -> Result<Others, NodeError> {
+        let mut process = Process::new(Network { domain_id, ..Network::default() }).unwrap();
+        let started = process.start_closure("others", move |context: &mut NodeContext<()>| {
             keep(context, topics::ODOMETRY, &kept, |received| &received.odometry)?;
             keep(context, topics::MARKER_UPDATES, &kept, |received| &received.updates)?;
             keep(context, topics::STATUS, &kept, |received| &received.status)?;
@@ -93,10 +84,9 @@ impl Rig {
                 pose: context.advertise(topics::SET_POSE, QosPreset::State)?,
             };
             sender.send(publishers).unwrap();
-            Ok(Others)
-        };
-        let mut process = Process::new(Network { domain_id, ..Network::default() }).unwrap();
-        process.start_with::<Others>(&RosArguments::default(), start).unwrap();
+            Ok(|_: &mut NodeContext<()>, ()| ())
+        });
+        started.unwrap();
         Self { publishers: publishers.recv().unwrap(), received, _process: process }
     }
 
@@ -104,25 +94,17 @@ impl Rig {
     fn after(&self, seconds: f64, run: &simulated::Run) -> Vec<(Stamp, f64, f64)> {
         let odometry = || self.received.odometry.lock().unwrap();
         let newest = || odometry().last().map(|m| convert::stamp(&m.header.stamp));
-        let begin = Instant::now();
-        let from = loop {
-            if let Some(stamp) = newest() {
-                break stamp;
-            }
-            assert!(begin.elapsed().as_secs() < 20, "no odometry came");
-            sleep(Duration::from_millis(10));
-        };
-        while newest().is_none_or(|stamp| stamp.seconds_since(from) < seconds) {
-            assert!(begin.elapsed().as_secs() < 30, "odometry has ended");
-            sleep(Duration::from_millis(10));
-        }
+        assert!(wait_until(Duration::from_secs(20), || newest().is_some()), "no odometry came");
+        let from = newest().unwrap();
+        let later = || newest().is_some_and(|stamp| stamp.seconds_since(from) >= seconds);
+        assert!(wait_until(Duration::from_secs(30), later), "odometry has ended");
         let received = odometry();
         let since = received.iter().filter(|m| convert::stamp(&m.header.stamp) > from);
         since
             .map(|m| {
                 let stamp = convert::stamp(&m.header.stamp);
                 let pose = convert::pose(&m.pose.pose, "odometry").unwrap();
-                let truth = scoring::pose_at(&run.truth, stamp).unwrap();
+                let truth = run.pose_at(stamp).unwrap();
                 (stamp, PoseError::new(&pose, &truth).position.norm(), m.twist.covariance[0])
             })
             .collect()
@@ -216,14 +198,14 @@ fn the_operator_s_services_and_topic_work_over_dds() {
     assert!(ok && message.contains("kept.json"), "{message}");
     let checkpoint: pose_fusion::Checkpoint =
         serde_json::from_str(&std::fs::read_to_string(&kept).unwrap()).unwrap();
-    let saved = scoring::pose_at(&run.truth, Stamp::from_nanos(checkpoint.stamp_ns)).unwrap();
+    let saved = run.pose_at(Stamp::from_nanos(checkpoint.stamp_ns)).unwrap();
     assert!((nalgebra::Vector3::from(checkpoint.position) - saved.translation.vector).norm() < 0.1);
 
     // While frozen, a pose that was set does not change with the markers.
     let (ok, why) = caller.call("freeze 1");
     assert!(ok, "{why}");
     let (stamp, _, _) = last(&others.after(0.1, &run));
-    let mut wrong = scoring::pose_at(&run.truth, stamp).unwrap();
+    let mut wrong = run.pose_at(stamp).unwrap();
     wrong.translation.vector.x += 0.5;
     let covariance = Matrix6::identity() * 1e-6;
     let message =
@@ -275,11 +257,8 @@ fn the_status_is_lost_once_all_inputs_have_ended_and_another_imu_frame_is_named(
         rig.to_str().unwrap(),
     ]));
     let status = || others.received.status.lock().unwrap();
-    let waiting = Instant::now();
-    while status().is_empty() {
-        assert!(waiting.elapsed().as_secs() < 20, "the node does not report that it waits");
-        sleep(Duration::from_millis(10));
-    }
+    let reports = wait_until(Duration::from_secs(20), || !status().is_empty());
+    assert!(reports, "the node does not report that it waits");
     feed(&others.publishers, &run, sensors.epoch);
     assert!(status().iter().any(|s| s.valid), "the pose was never valid");
     let named = ["is in the frame `imu`", "frames.imu of the rig file is `imu_link`"];

@@ -113,7 +113,7 @@ fn a_set_pose_is_used_and_an_invalid_one_rejected() {
     let (before, after) = cut(&run, &sensors, 9.0);
     let mut fusion = fusion();
     let stamp = sensors.epoch.plus_seconds(8.9);
-    let truth = scoring::pose_at(&run.truth, stamp).unwrap();
+    let truth = run.pose_at(stamp).unwrap();
     let covariance =
         Matrix6::from_diagonal(&nalgebra::Vector6::new(1e-6, 1e-6, 1e-6, 1e-6, 1e-6, 1e-6));
     let pose = PoseEstimate { stamp, pose: truth, covariance };
@@ -131,7 +131,7 @@ fn a_set_pose_is_used_and_an_invalid_one_rejected() {
     let outputs = scoring::run(&mut fusion, after);
     let next = &outputs.odometry[0];
     let age = next.stamp.seconds_since(stamp);
-    let truth = scoring::pose_at(&run.truth, next.stamp).unwrap();
+    let truth = run.pose_at(next.stamp).unwrap();
     let error = PoseError::new(&next.world_from_volant, &truth);
     let (p, r) = (error.position, error.rotation);
     // The velocity is not known: within its three sigmas.
@@ -151,7 +151,7 @@ fn a_pose_set_at_an_older_stamp_finds_the_climber_where_it_was() {
         let mut fusion = fusion();
         scoring::run(&mut fusion, before);
         let stamp = sensors.epoch.plus_seconds(at - 0.4);
-        let pose = scoring::pose_at(&run.truth, stamp).unwrap();
+        let pose = run.pose_at(stamp).unwrap();
         let covariance = Matrix6::identity() * 1e-6;
         fusion.set_pose(&PoseEstimate { stamp, pose, covariance }).unwrap();
         let outputs = scoring::run(&mut fusion, after);

@@ -224,12 +224,12 @@ fn a_stuck_axis_of_the_gyroscope_is_not_the_encoders_fault() {
             _ => {}
         });
         let run = simulated::run(MotionConfig::nominal(seed), &SensorConfig::nominal(seed));
-        let begin = scoring::start(&run.truth);
+        let begin = run.start();
         let (mut worst, mut recovered) = (0.0_f64, 0.0_f64);
         let valid: HashMap<_, _> = outputs.status.iter().map(|s| (s.stamp, s.valid)).collect();
         for odometry in &outputs.odometry {
             let t = odometry.stamp.seconds_since(begin);
-            let Some(truth) = scoring::pose_at(&run.truth, odometry.stamp) else { continue };
+            let Some(truth) = run.pose_at(odometry.stamp) else { continue };
             let position = odometry.world_from_volant.translation.vector;
             let error = (position - truth.translation.vector).norm();
             if valid[&odometry.stamp] && t > 2.0 {
@@ -285,7 +285,7 @@ fn the_pose_of_one_image_with_a_false_marker_is_uncertain() {
     let (_, outputs) = scoring::follow(simulated::config(), inputs);
     let mut score = rig_model::score::Score::default();
     for visual in &outputs.visual {
-        if let Some(truth) = scoring::pose_at(&run.truth, visual.stamp) {
+        if let Some(truth) = run.pose_at(visual.stamp) {
             score.add(&visual.pose, &visual.covariance, &truth);
         }
     }

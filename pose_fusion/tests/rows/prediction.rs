@@ -33,7 +33,7 @@ fn predictions_are_consistent_in_calm_and_fast_motion() {
 
 /// Mean NEES of the angular velocity from 3 s on.
 fn rate_nees(run: &simulated::Run, predicted: &[Odometry]) -> f64 {
-    let start = scoring::start(&run.truth);
+    let start = run.start();
     let nees = |o: &Odometry| {
         let at = o.stamp.seconds_since(SensorConfig::nominal(1).epoch);
         let error = o.angular_velocity - run.motion.kinematics(at).angular_velocity;
@@ -51,8 +51,8 @@ fn a_prediction_contains_what_encoders_and_estimate_disagree_about() {
     let run = simulated::run(MotionConfig::nominal(1), &SensorConfig::nominal(1));
     let mut config = simulated::config();
     config.tight.prediction_horizon = 0.02;
-    let step = scoring::start(&run.truth).plus_seconds(6.0);
-    let inputs = run.inputs.into_iter().map(|(at, mut input)| {
+    let step = run.start().plus_seconds(6.0);
+    let inputs = run.recording.inputs.into_iter().map(|(at, mut input)| {
         if let (true, Input::Climber(sample)) = (at > step, &mut input) {
             sample.world_from_climber.translation.x += 0.5;
         }

@@ -1,19 +1,17 @@
 //! A recording, its faults, and whether a check names them.
 
 use super::{fault::Fault, light::findings_while_running};
-use crate::{
-    live::Scenario,
-    robustness::recording::{PERTURBED_FROM, Recording},
-};
+use crate::robustness::recording;
 use marker_tracker::TrackerConfig;
-use nalgebra::Vector3;
 use pose_fusion::Input;
 use rig_calibration::{Report, Samples, Track, Verdict, check};
-use rig_model::{
-    CameraModel, Distortion, MarkerLayout, Rig, Stamp,
-    score::{Truth, TruthSample},
+use rig_model::{CameraModel, Distortion, MarkerLayout, Rig};
+use rig_simulator::{
+    RIG_YAML,
+    inertial::SensorConfig,
+    motion::{Motion, MotionConfig},
+    recording::Recording,
 };
-use rig_simulator::motion::MotionConfig;
 use std::path::{Path, PathBuf};
 use volant::{calibration::track_bag, replay::TopicNames};
 
@@ -44,7 +42,7 @@ fn tracker(rig: &Rig) -> TrackerConfig {
 impl Bench {
     /// Reads a folder with `in.mcap`, `rig.yaml`, `truth.mcap` and `truth_markers.csv`.
     pub fn read(folder: &Path) -> anyhow::Result<Self> {
-        let mut recording = Recording::read(folder, None)?;
+        let mut recording = recording::read(folder, None)?;
         let bag = folder.join("in.mcap");
         let camera = recording.camera().cloned();
         let mut images = None;
@@ -54,7 +52,7 @@ impl Bench {
             let markers = track_bag(&bag, &rig.markers, &tracker(rig), &camera, None, &names)?;
             if !markers.is_empty() {
                 let markers = markers.into_iter().map(|m| (m.stamp, m)).collect();
-                recording = Recording::read_with(folder, &markers)?;
+                recording = recording::read_with(folder, &markers)?;
                 images = Some(bag);
             }
         }
@@ -75,22 +73,10 @@ impl Bench {
 
     /// Simulates a run with a motion and its seed.
     pub fn of_motion(config: MotionConfig) -> anyhow::Result<Self> {
-        let name = format!("simulated {}", config.seed);
         let lens = Distortion::PlumbBob([-0.23, 0.082, 7e-4, -4e-4, -0.006]);
         let camera = CameraModel::new(640, 480, [591.3, 589.7, 319.3, 235.2], lens)?;
-        let scenario = Scenario { camera: camera.clone(), ..Scenario::new(config)? };
-        let recorded = scenario.simulated_sensors().record();
-        let start = scenario.sensors.epoch;
-        let mut inputs: Vec<(Stamp, Input)> = vec![(start, Input::Camera(camera))];
-        inputs.extend(recorded);
-        let truth = Truth::new(vec![TruthSample {
-            stamp: start,
-            world_from_volant: scenario.motion.world_from_volant(0.0),
-            linear_velocity: Vector3::zeros(),
-            angular_velocity: Vector3::zeros(),
-        }]);
-        let (rig, perturbed_from) = (scenario.rig, PERTURBED_FROM);
-        Self::new(Recording { name, rig, inputs, truth, perturbed_from }, None)
+        let (rig, sensors) = (Rig::from_yaml(RIG_YAML)?, SensorConfig::nominal(config.seed));
+        Self::new(Recording::simulated(rig, camera, &Motion::new(config), &sensors), None)
     }
 
     fn new(recording: Recording, images: Option<PathBuf>) -> anyhow::Result<Self> {

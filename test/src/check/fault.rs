@@ -1,13 +1,11 @@
 //! Faults: one thing wrong with a rig's files or its messages, by name, and how a check must name
 //! it.
 
-use crate::robustness::{
-    perturbation::{self, Perturbation as P, each_camera, each_imu},
-    recording::Recording,
-};
+use crate::robustness::perturbation::{self, Perturbation as P, each_camera, each_imu};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use pose_fusion::Input;
 use rig_model::{CameraModel, ClimberSample, Distortion, Rig};
+use rig_simulator::recording::Recording;
 
 #[derive(Clone, Copy)]
 pub struct Fault {

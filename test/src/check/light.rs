@@ -1,7 +1,7 @@
 //! The light check that `pose_fusion` runs, over a recording.
 
-use crate::robustness::recording::Recording;
 use pose_fusion::{Fusion, FusionConfig, Input, Output, RigCheck};
+use rig_simulator::recording::Recording;
 
 /// Time between two looks at the findings, as in the node, s.
 const PERIOD: f64 = 1.0;

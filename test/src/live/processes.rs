@@ -14,19 +14,7 @@ use std::{
     time::{Duration, Instant},
 };
 use test_support::process;
-
-/// Folder of the executables: `VOLANT_BIN`, else where this executable is (for a test, one above).
-pub fn executables() -> PathBuf {
-    if let Some(folder) = std::env::var_os("VOLANT_BIN") {
-        return folder.into();
-    }
-    let own = std::env::current_exe().unwrap_or_default();
-    let mut folder = own.parent().unwrap_or(Path::new(".")).to_owned();
-    if folder.ends_with("deps") || folder.ends_with("examples") {
-        folder.pop();
-    }
-    folder
-}
+pub use test_support::process::executables;
 
 /// All processes that were started and not waited for, with their time to end by SIGINT.
 static RUNNING: Mutex<BTreeMap<u32, Duration>> = Mutex::new(BTreeMap::new());

@@ -1,15 +1,17 @@
 //! Perturbations: one change to a recording or its rig file each, by name.
 
-use super::recording::Recording;
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 use pose_fusion::Input;
 use rig_model::{
     CameraModel, ClimberSample, ImuSample, MarkerObservation, MarkerObservations, Stamp,
 };
-use rig_simulator::random::Random;
+use rig_simulator::{random::Random, recording::Recording};
 use std::fmt;
 
-/// One change. One of limited duration begins at [`Recording::perturbed_from`].
+/// Beginning of a perturbation of limited duration, s after the first truth.
+pub const PERTURBED_FROM: f64 = 5.0;
+
+/// One change. One of limited duration begins at [`PERTURBED_FROM`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Perturbation {
     /// Gyroscope scale error, relative.
@@ -162,7 +164,12 @@ impl Perturbation {
     }
 
     pub fn apply(&self, recording: &mut Recording) {
-        let from = recording.start().plus_seconds(recording.perturbed_from);
+        self.apply_from(PERTURBED_FROM, recording);
+    }
+
+    /// Applies it; one of limited duration begins `from` seconds after the first truth.
+    pub fn apply_from(&self, from: f64, recording: &mut Recording) {
+        let from = recording.start().plus_seconds(from);
         let lasts = self.duration();
         let within = |stamp: Stamp| (0.0..lasts.max(1e-9)).contains(&stamp.seconds_since(from));
         let turn = |axis: Vector3<f64>, degrees: f64| {
@@ -275,7 +282,7 @@ impl Perturbation {
                 });
                 recording.inputs = twice.collect();
             }
-            Self::ImuBursts(count) => arrive_in_bursts(recording, count),
+            Self::ImuBursts(count) => recording.arrive_in_bursts(count, Some(1e-4)),
             Self::Exchanged(_) => each_image(recording, |m| {
                 if within(m.stamp) {
                     m.markers.0[0] = MarkerObservation::lost(1);
@@ -304,26 +311,6 @@ each! {
     each_climber: Climber(ClimberSample);
     each_image: Markers(MarkerObservations);
     each_camera: Camera(CameraModel);
-}
-
-/// Holds back the IMU's samples until `count` are there, and stamps them then, 0.1 ms apart.
-fn arrive_in_bursts(recording: &mut Recording, count: usize) {
-    let (mut held, mut inputs) = (Vec::new(), Vec::new());
-    for (at, input) in recording.inputs.drain(..) {
-        let Input::Imu(sample) = input else {
-            inputs.push((at, input));
-            continue;
-        };
-        held.push(sample);
-        if held.len() == count {
-            let arrives = sample.stamp;
-            inputs.extend(held.drain(..).enumerate().map(|(k, held)| {
-                let back = 1e-4 * (count - 1 - k) as f64;
-                (at, Input::Imu(ImuSample { stamp: arrives.plus_seconds(-back), ..held }))
-            }));
-        }
-    }
-    recording.inputs = inputs;
 }
 
 fn rotate_imu(recording: &mut Recording, turn: UnitQuaternion<f64>) {

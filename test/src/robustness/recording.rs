@@ -7,27 +7,12 @@ use bag::{
 };
 use nalgebra::Isometry3;
 use pose_fusion::Input;
-use rig_model::{CameraModel, Rig, Stamp, score::Truth};
-use rig_simulator::random::Random;
+use rig_model::Stamp;
+use rig_simulator::{random::Random, recording::Recording};
 use std::{
     fs,
     path::{Path, PathBuf},
 };
-
-#[derive(Clone, Debug)]
-pub struct Recording {
-    /// Name of its folder.
-    pub name: String,
-    pub rig: Rig,
-    /// Inputs with their times of arrival, in the order of arrival.
-    pub inputs: Vec<(Stamp, Input)>,
-    pub truth: Truth,
-    /// Beginning of a perturbation of limited duration, s after the first truth.
-    pub perturbed_from: f64,
-}
-
-/// Default beginning of a perturbation of limited duration, s after the first truth.
-pub const PERTURBED_FROM: f64 = 5.0;
 
 /// Returns the folders of recordings with truth in `bags` whose name contains `only`, sorted.
 ///
@@ -44,67 +29,47 @@ pub fn folders(bags: &Path, only: &str) -> anyhow::Result<Vec<PathBuf>> {
     Ok(folders)
 }
 
-impl Recording {
-    /// Reads a folder with `in.mcap`, `rig.yaml`, `truth.mcap` and `truth_markers.csv`.
-    ///
-    /// Markers are those on `climber/markers` of the recording itself, else of the bag `markers` (a
-    /// replay's output); without any they are the true centroids with 0.1 px of noise.
-    pub fn read(folder: &Path, markers: Option<&Path>) -> Result<Self, BagError> {
-        let mut images = markers.map(read_markers).transpose()?.unwrap_or_default();
-        if images.is_empty() {
-            let mut random = Random::fork(1, "pixels");
-            images = true_centroids(folder, 0.1, || random.normal())?;
-        }
-        Self::read_with(folder, &images)
+/// Reads a folder with `in.mcap`, `rig.yaml`, `truth.mcap` and `truth_markers.csv`.
+///
+/// Markers are those on `climber/markers` of the recording itself, else of the bag `markers` (a
+/// replay's output); without any they are the true centroids with 0.1 px of noise.
+pub fn read(folder: &Path, markers: Option<&Path>) -> Result<Recording, BagError> {
+    let mut images = markers.map(read_markers).transpose()?.unwrap_or_default();
+    if images.is_empty() {
+        let mut random = Random::fork(1, "pixels");
+        images = true_centroids(folder, 0.1, || random.normal())?;
     }
+    read_with(folder, &images)
+}
 
-    /// Reads a folder with these observations of its images, unless it has its own.
-    pub fn read_with(folder: &Path, images: &Markers) -> Result<Self, BagError> {
-        let recording::Recording { rig, samples, truth } =
-            recording::Recording::read(folder, images)?;
-        let name = folder.file_name().map_or(String::new(), |n| n.to_string_lossy().into_owned());
-        Ok(Self { name, rig, inputs: samples, truth, perturbed_from: PERTURBED_FROM })
-    }
+/// Reads a folder with these observations of its images, unless it has its own.
+pub fn read_with(folder: &Path, images: &Markers) -> Result<Recording, BagError> {
+    let (rig, inputs, truth) = recording::read(folder, images)?;
+    let name = folder.file_name().map_or(String::new(), |n| n.to_string_lossy().into_owned());
+    Ok(Recording { name, rig, inputs, truth })
+}
 
-    /// Returns the stamp of the first truth.
-    pub fn start(&self) -> Stamp {
-        self.truth.span().map_or(Stamp::default(), |(first, _)| first)
-    }
-
-    /// Returns the true pose at an instant, interpolated.
-    pub fn pose_at(&self, stamp: Stamp) -> Option<Isometry3<f64>> {
-        Some(self.truth.at(stamp)?.world_from_volant)
-    }
-
-    /// Returns by how much the climber moves the platform at most, m/s: its speed, and its turn by
-    /// the platform's distance.
-    pub fn climber_speed(&self) -> f64 {
-        /// Number of readings that a speed spans: encoders count in steps.
-        const SPAN: usize = 5;
-        let poses: Vec<(Stamp, Isometry3<f64>)> = self
-            .inputs
-            .iter()
-            .filter_map(|(_, input)| match input {
-                Input::Climber(c) => Some((c.stamp, c.world_from_climber)),
-                _ => None,
-            })
-            .collect();
-        let moved = |a: &(Stamp, Isometry3<f64>), b: &(Stamp, Isometry3<f64>)| {
-            let truth = self.pose_at(b.0)?.translation.vector;
-            let arm = (truth - b.1.translation.vector).xy().norm();
-            let way = (b.1.translation.vector - a.1.translation.vector).norm();
-            Some((way + arm * a.1.rotation.angle_to(&b.1.rotation)) / b.0.seconds_since(a.0))
-        };
-        let speeds = poses.iter().zip(poses.iter().skip(SPAN)).filter_map(|(a, b)| moved(a, b));
-        speeds.filter(|speed| speed.is_finite()).fold(0.0, f64::max)
-    }
-
-    pub fn camera(&self) -> Option<&CameraModel> {
-        self.inputs.iter().find_map(|(_, input)| match input {
-            Input::Camera(camera) => Some(camera),
+/// Returns by how much the climber moves the platform at most, m/s: its speed, and its turn by the
+/// platform's distance.
+pub fn climber_speed(recording: &Recording) -> f64 {
+    /// Number of readings that a speed spans: encoders count in steps.
+    const SPAN: usize = 5;
+    let poses: Vec<(Stamp, Isometry3<f64>)> = recording
+        .inputs
+        .iter()
+        .filter_map(|(_, input)| match input {
+            Input::Climber(c) => Some((c.stamp, c.world_from_climber)),
             _ => None,
         })
-    }
+        .collect();
+    let moved = |a: &(Stamp, Isometry3<f64>), b: &(Stamp, Isometry3<f64>)| {
+        let truth = recording.pose_at(b.0)?.translation.vector;
+        let arm = (truth - b.1.translation.vector).xy().norm();
+        let way = (b.1.translation.vector - a.1.translation.vector).norm();
+        Some((way + arm * a.1.rotation.angle_to(&b.1.rotation)) / b.0.seconds_since(a.0))
+    };
+    let speeds = poses.iter().zip(poses.iter().skip(SPAN)).filter_map(|(a, b)| moved(a, b));
+    speeds.filter(|speed| speed.is_finite()).fold(0.0, f64::max)
 }
 
 #[cfg(test)]

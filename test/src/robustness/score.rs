@@ -1,9 +1,9 @@
 //! What an estimator makes of a recording.
 
-use super::recording::Recording;
 use nalgebra::Vector3;
 use pose_fusion::{Fusion, FusionConfig, Output, PoseStatus};
 use rig_model::score::{Nees, PoseError, SpreadSum};
+use rig_simulator::recording::Recording;
 
 /// One published pose against the truth.
 #[derive(Clone, Copy, Debug)]

@@ -3,10 +3,11 @@
 
 use super::{
     perturbation::{Perturbation, TABLE},
-    recording::Recording,
+    recording::climber_speed,
     score::{self, Figures, Scored},
 };
 use pose_fusion::FusionConfig;
+use rig_simulator::recording::Recording;
 use std::{fmt::Write, mem::discriminant};
 
 /// No pose further off than this may be called valid, m.
@@ -48,7 +49,7 @@ pub fn limits(perturbation: &Perturbation, recording: &Recording) -> Limits {
         }
         EncoderDelay(delay) => Limits {
             // Millimeters beside what the climber moves in that time.
-            worst: Some(recording.climber_speed() * delay.abs() * 1e3 + 5.0),
+            worst: Some(climber_speed(recording) * delay.abs() * 1e3 + 5.0),
             ..Limits::default()
         },
         EncoderOff(_, 0.0) => factor(1.2),
@@ -87,13 +88,6 @@ fn begin(recording: &Recording) -> f64 {
     if recording.name.starts_with("real") { 3.0 } else { 1.0 }
 }
 
-fn figures(scored: &Scored, recording: &Recording, perturbation: &Perturbation) -> [Figures; 2] {
-    let from = begin(recording);
-    let duration = Some(perturbation.duration()).filter(|d| d.is_finite()).unwrap_or(0.0);
-    let settled = recording.perturbed_from + duration + SETTLED;
-    [scored.figures(from, f64::INFINITY), scored.figures(settled, f64::INFINITY)]
-}
-
 fn catastrophe(scored: &Scored, whole: &Figures) -> Option<String> {
     if scored.non_finite {
         return Some("a number that is not finite".to_owned());
@@ -110,14 +104,16 @@ fn catastrophe(scored: &Scored, whole: &Figures) -> Option<String> {
 pub struct Bench {
     recording: Recording,
     config: FusionConfig,
+    /// Beginning of perturbations of limited duration, s after the first truth.
+    perturbed_from: f64,
     unchanged: Scored,
 }
 
 impl Bench {
     /// Runs the unchanged recording.
-    pub fn new(recording: Recording, config: FusionConfig) -> Self {
+    pub fn new(recording: Recording, config: FusionConfig, perturbed_from: f64) -> Self {
         let unchanged = score::run(&recording, &config);
-        Self { recording, config, unchanged }
+        Self { recording, config, perturbed_from, unchanged }
     }
 
     pub fn unchanged(&self) -> Figures {
@@ -128,12 +124,18 @@ impl Bench {
         &self.recording.name
     }
 
+    fn figures(&self, scored: &Scored, perturbation: &Perturbation) -> [Figures; 2] {
+        let duration = Some(perturbation.duration()).filter(|d| d.is_finite()).unwrap_or(0.0);
+        let settled = self.perturbed_from + duration + SETTLED;
+        [begin(&self.recording), settled].map(|from| scored.figures(from, f64::INFINITY))
+    }
+
     pub fn single(&self, perturbation: &Perturbation) -> Cell {
         let mut changed = self.recording.clone();
-        perturbation.apply(&mut changed);
+        perturbation.apply_from(self.perturbed_from, &mut changed);
         let scored = score::run(&changed, &self.config);
-        let [whole, after] = figures(&scored, &self.recording, perturbation);
-        let [base, base_after] = figures(&self.unchanged, &self.recording, perturbation);
+        let [whole, after] = self.figures(&scored, perturbation);
+        let [base, base_after] = self.figures(&self.unchanged, perturbation);
         let limits = limits(perturbation, &self.recording);
         let mut failures = Vec::new();
         let mut check = |what: &str, limit: Option<f64>, value: f64| {
@@ -153,8 +155,8 @@ impl Bench {
     /// Runs the recording with two changes; returns what never may happen.
     pub fn pair(&self, first: &Perturbation, second: &Perturbation) -> Option<String> {
         let mut changed = self.recording.clone();
-        first.apply(&mut changed);
-        second.apply(&mut changed);
+        first.apply_from(self.perturbed_from, &mut changed);
+        second.apply_from(self.perturbed_from, &mut changed);
         let scored = score::run(&changed, &self.config);
         catastrophe(&scored, &scored.figures(begin(&self.recording), f64::INFINITY))
     }

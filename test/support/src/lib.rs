@@ -1,8 +1,10 @@
-//! What tests need from the machine: recordings and Python peers, or a recorded skip; processes.
+//! What tests need from the machine: recordings and Python peers, or a recorded skip; processes,
+//! and folders for them.
 //!
 //! libtest cannot report a test as skipped while it runs. A test that lacks something calls
 //! [`skip`] and returns; `test/tier`, which `make test` runs, counts it as skipped, not as passed.
 
+pub mod place;
 pub mod process;
 
 use std::{fmt::Display, io::Write as _, path::PathBuf, process::Command};

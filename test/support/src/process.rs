@@ -19,6 +19,19 @@ pub fn example(name: &str) -> PathBuf {
     folder.join("examples").join(name)
 }
 
+/// Folder of the executables: `VOLANT_BIN`, else where this executable is (for a test, one above).
+pub fn executables() -> PathBuf {
+    if let Some(folder) = std::env::var_os("VOLANT_BIN") {
+        return folder.into();
+    }
+    let own = std::env::current_exe().unwrap_or_default();
+    let mut folder = own.parent().unwrap_or(Path::new(".")).to_owned();
+    if folder.ends_with("deps") || folder.ends_with("examples") {
+        folder.pop();
+    }
+    folder
+}
+
 /// A program in a DDS domain of this computer, without what the test's own environment sets.
 pub fn in_domain(domain: u16, program: impl AsRef<OsStr>) -> Command {
     let mut command = Command::new(program);
@@ -29,6 +42,18 @@ pub fn in_domain(domain: u16, program: impl AsRef<OsStr>) -> Command {
         .env_remove("RMW_IMPLEMENTATION")
         .stdin(Stdio::null());
     command
+}
+
+/// Waits until `done`, for at most `within`; returns whether it was reached.
+pub fn wait_until(within: Duration, mut done: impl FnMut() -> bool) -> bool {
+    let deadline = Instant::now() + within;
+    while !done() {
+        if Instant::now() >= deadline {
+            return false;
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    true
 }
 
 /// Resident memory of a process, kB; `None` if it has ended.
@@ -137,16 +162,13 @@ impl Running {
 
     /// Waits until a signal ends it in order: the handler's thread runs.
     pub fn wait_for_signal_handler(&self) {
-        let deadline = Instant::now() + Duration::from_secs(20);
         let threads = format!("/proc/{}/task", self.id());
         let name = |task: std::fs::DirEntry| std::fs::read_to_string(task.path().join("comm")).ok();
-        while !std::fs::read_dir(&threads)
-            .unwrap()
-            .any(|task| task.ok().and_then(name).is_some_and(|name| name.trim() == "signals"))
-        {
-            assert!(Instant::now() < deadline, "it handles no signals");
-            std::thread::sleep(Duration::from_millis(2));
-        }
+        let handles = || {
+            let mut tasks = std::fs::read_dir(&threads).unwrap();
+            tasks.any(|task| task.ok().and_then(name).is_some_and(|name| name.trim() == "signals"))
+        };
+        assert!(wait_until(Duration::from_secs(20), handles), "it handles no signals");
     }
 
     /// Its process id.

@@ -3,18 +3,10 @@
 
 use bag::{BagWriter, Qos, Topic, WriteOptions};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
-use node_kit::{
-    NodeContext, NodeError, NodeShell, Process, Publisher, QosPreset, RosArguments,
-    environment::Network,
-};
+use node_kit::{NodeContext, NodeError, Process, QosPreset, environment::Network};
 use opencv::{core, imgcodecs, prelude::*};
 use rig_model::{CameraModel, Distortion};
-use std::{
-    path::{Path, PathBuf},
-    process::Command,
-    sync::OnceLock,
-    time::Duration,
-};
+use std::{path::Path, process::Command, time::Duration};
 use volant_msgs::sensor_msgs::msg::CompressedImage;
 
 const SQUARE: f64 = 0.03;
@@ -104,40 +96,26 @@ fn write_bag(path: &Path, folder: &Path) {
     bag.finish().unwrap();
 }
 
-/// Folder of the live camera's images.
-static BOARDS: OnceLock<PathBuf> = OnceLock::new();
 /// A DDS domain of this test.
 const DOMAIN: u16 = 97;
 
-/// Camera driver that repeats the images of [`BOARDS`] on `camera/image_raw/compressed`.
-struct Camera {
-    images: Publisher<CompressedImage>,
-    frames: Vec<Vec<u8>>,
-    next: usize,
-}
-
-impl NodeShell for Camera {
-    const NAME: &'static str = "camera";
-    type Parameters = ();
-    type Input = ();
-
-    fn start(context: &mut NodeContext<()>, (): ()) -> Result<Self, NodeError> {
+/// Starts a camera driver that repeats the boards of a folder on `camera/image_raw/compressed`.
+fn start_camera(process: &mut Process, boards: &Path) -> Result<(), NodeError> {
+    let read = |i| std::fs::read(boards.join(format!("board{i:02}.png"))).unwrap();
+    let frames: Vec<Vec<u8>> = (0..40).map(read).collect();
+    process.start_closure("camera", move |context: &mut NodeContext<()>| {
         context.timer(Duration::from_millis(100), || ());
         let images = context.advertise("camera/image_raw/compressed", QosPreset::Image)?;
-        let read =
-            |i| std::fs::read(BOARDS.get().unwrap().join(format!("board{i:02}.png"))).unwrap();
-        Ok(Self { images, frames: (0..40).map(read).collect(), next: 0 })
-    }
-
-    fn handle(&mut self, _: &mut NodeContext<()>, (): ()) {
-        let data = self.frames[self.next % 40].clone();
-        self.next += 1;
-        self.images.publish(CompressedImage {
-            format: "png".into(),
-            data: data.into(),
-            ..CompressedImage::default()
-        });
-    }
+        let mut frames = frames.clone().into_iter().cycle();
+        Ok(move |_: &mut NodeContext<()>, ()| {
+            let data = frames.next().unwrap();
+            images.publish(CompressedImage {
+                format: "png".into(),
+                data: data.into(),
+                ..CompressedImage::default()
+            });
+        })
+    })
 }
 
 /// The number after `name` at the start of a line.
@@ -231,10 +209,9 @@ fn rendered_boards_determine_their_camera() {
     }
 
     // Live: it ends if nothing is missing, and otherwise at the given number of views.
-    BOARDS.set(folder.path().to_owned()).unwrap();
     let network = Network { domain_id: DOMAIN, ..Network::from_environment().unwrap() };
     let mut process = Process::new(network).unwrap();
-    process.start::<Camera>(&RosArguments::default()).unwrap();
+    start_camera(&mut process, folder.path()).unwrap();
     let (ok, text, error) = calibrate(
         Path::new("/camera/image_raw/compressed"),
         &[&options[..], &["--views", "40"]].concat(),

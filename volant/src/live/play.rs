@@ -11,11 +11,8 @@ use crate::{
 };
 use anyhow::{Result, anyhow};
 use bag::{BagReader, Qos, Topic, qos_from_yaml};
-use node_kit::{
-    RosArguments,
-    node::{
-        NodeContext, NodeHandle, NodeShell, Process, ros_topic, unlimited_policies, with_type_hash,
-    },
+use node_kit::node::{
+    NodeContext, NodeHandle, Process, ros_topic, unlimited_policies, with_type_hash,
 };
 use rig_model::topics;
 use rustdds::{RTPSEntity, no_key::DataWriter};
@@ -225,33 +222,21 @@ pub fn play(
     Ok(report)
 }
 
-/// Node with rosbag2's name, which owns the publishers in the graph.
-struct Player;
-
-impl NodeShell for Player {
-    const NAME: &'static str = "rosbag2_player";
-    const ABOUT: &'static str = "plays a bag to live topics";
-    type Parameters = ();
-    type Input = ();
-
-    fn handle(&mut self, _: &mut NodeContext<()>, (): ()) {}
-}
-
-/// Starts the node `rosbag2_player` with what `publish` creates on it; dropping the returned
-/// process ends it.
+/// Starts a node with rosbag2's name, which owns in the graph what `publish` creates on it.
+/// Dropping the returned process ends it.
 fn start_player<T: Send + 'static>(
     publish: impl FnOnce(&mut NodeHandle) -> Result<T> + Send + 'static,
 ) -> Result<(Process, T)> {
     let mut process = Process::from_environment()?;
     let (made, publishers) = sync_channel(1);
     let mut publish = Some(publish);
-    process.start_with::<Player>(&RosArguments::default(), move |context, ()| {
+    process.start_closure("rosbag2_player", move |context: &mut NodeContext<()>| {
         // Once: the publishers stay when the node is configured again.
         if let Some(publish) = publish.take() {
             // The receiver is there until this has returned.
             let _ = made.send(publish(context));
         }
-        Ok(Player)
+        Ok(|_: &mut NodeContext<()>, ()| ())
     })?;
     let publishers = publishers.recv().map_err(|_| thread_ended("the player's node"))??;
     Ok((process, publishers))

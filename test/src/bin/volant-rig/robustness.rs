@@ -15,8 +15,8 @@ use std::{
 use volant_test::{
     report::{TableFile, measured_with},
     robustness::{
-        perturbation::{Perturbation, TABLE},
-        recording::{PERTURBED_FROM, Recording, folders},
+        perturbation::{PERTURBED_FROM, Perturbation, TABLE},
+        recording::{self, folders},
         table::{self, Bench},
     },
 };
@@ -140,7 +140,7 @@ fn read(arguments: &Arguments) -> Result<Vec<Bench>> {
         if let Some(missing) = markers.as_ref().filter(|path| !path.is_file()) {
             bail!("--markers: {} is not there; replay the recording into it", missing.display());
         }
-        let mut recording = Recording::read(&folder, markers.as_deref())
+        let recording = recording::read(&folder, markers.as_deref())
             .map_err(|e| anyhow::anyhow!("{}: {e}", folder.display()))?;
         let end = recording.truth.span().map_or(0.0, |(first, last)| last.seconds_since(first));
         let latest = end - MEASURED;
@@ -152,8 +152,7 @@ fn read(arguments: &Arguments) -> Result<Vec<Bench>> {
                 folder.display()
             );
         }
-        recording.perturbed_from = arguments.from;
-        benches.push(Bench::new(recording, FusionConfig::default()));
+        benches.push(Bench::new(recording, FusionConfig::default(), arguments.from));
     }
     if benches.is_empty() {
         bail!("{}: no folder `*{only}*` with truth.mcap in it", bags.display());

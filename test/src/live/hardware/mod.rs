@@ -16,7 +16,7 @@ use imu_driver::simulated_imu::{
     SimulatedImuConfig,
     pty::{PtyImu, now},
 };
-use node_kit::{RosArguments, node::Process};
+use node_kit::node::Process;
 use rig_model::Stamp;
 use std::{
     path::Path,
@@ -28,7 +28,7 @@ use std::{
     thread::JoinHandle,
     time::Duration,
 };
-use topics::{RigPublisher, RigSubscriber};
+use topics::{Publishers, start_subscriber};
 use volant_msgs::sensor_msgs::msg::{CompressedImage, JointState};
 
 /// Replaces a message before its publication by others, each with a delay.
@@ -119,19 +119,15 @@ impl SimulatedHardware {
     ) -> Result<Self> {
         let failed = |error: std::io::Error| anyhow!("the simulated rig: {error}");
         let received = Arc::new(Mutex::new(Received::default()));
-        let names = RosArguments::default();
         let (sender, receiver) = sync_channel(1);
         let mut climber = site.join(Host::Climber)?;
-        climber.start_with(&names, move |context, ()| RigPublisher::advertise(context, &sender))?;
+        Publishers::start(&mut climber, sender)?;
         let mut processes = vec![climber];
         if site.hosts.is_some() {
             processes.push(site.join(Host::Platform)?);
         }
         if let Some(platform) = processes.last_mut() {
-            let received = Arc::clone(&received);
-            platform.start_with(&names, move |context, ()| {
-                RigSubscriber::subscribe(context, &received)
-            })?;
+            start_subscriber(platform, Arc::clone(&received))?;
         }
         let publishers = receiver.recv().context("the simulated rig's node did not start")?;
         let shared = Arc::new(Shared {

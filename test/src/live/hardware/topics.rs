@@ -4,7 +4,7 @@ use super::lock;
 use crate::live::received::{Received, TopicLog};
 use imu_driver::simulated_imu::pty::now;
 use node_kit::{
-    node::{NodeContext, NodeError, NodeShell, Publisher},
+    node::{NodeContext, NodeError, Process, Publisher},
     qos::QosPreset,
 };
 use rig_model::topics;
@@ -22,54 +22,34 @@ pub(super) struct Publishers {
     pub(super) joints: Publisher<JointState>,
 }
 
-/// The climber's computer: camera and encoders.
-pub(super) struct RigPublisher;
-
-impl NodeShell for RigPublisher {
-    const NAME: &'static str = "rig_simulator";
-    const ABOUT: &'static str = "the simulated rig's camera and encoders";
-    type Parameters = ();
-    type Input = ();
-
-    fn handle(&mut self, _: &mut NodeContext<()>, (): ()) {}
-}
-
-impl RigPublisher {
-    /// Advertises the topics and sends their publishers to the hardware's threads.
-    pub(super) fn advertise(
-        context: &mut NodeContext<()>,
-        sender: &SyncSender<Publishers>,
-    ) -> Result<Self, NodeError> {
-        let publishers = Publishers {
-            image: context.advertise(topics::COMPRESSED_IMAGE, QosPreset::Image)?,
-            camera_info: context.advertise(topics::CAMERA_INFO, QosPreset::CameraInfo)?,
-            joints: context.advertise(topics::JOINT_STATES, QosPreset::State)?,
-        };
-        // The channel holds one entry, and its receiver outlives this call.
-        let _ = sender.send(publishers);
-        Ok(Self)
+impl Publishers {
+    /// Starts the node of camera and encoders on the climber's computer; its publishers go to the
+    /// hardware's threads.
+    pub(super) fn start(
+        climber: &mut Process,
+        sender: SyncSender<Publishers>,
+    ) -> Result<(), NodeError> {
+        climber.start_closure("rig_simulator", move |context: &mut NodeContext<()>| {
+            let publishers = Publishers {
+                image: context.advertise(topics::COMPRESSED_IMAGE, QosPreset::Image)?,
+                camera_info: context.advertise(topics::CAMERA_INFO, QosPreset::CameraInfo)?,
+                joints: context.advertise(topics::JOINT_STATES, QosPreset::State)?,
+            };
+            // The channel holds one entry, and its receiver outlives this call.
+            let _ = sender.send(publishers);
+            Ok(|_: &mut NodeContext<()>, ()| ())
+        })
     }
 }
 
-/// The platform's computer: a subscriber to the nodes' topics.
-pub(super) struct RigSubscriber;
-
-impl NodeShell for RigSubscriber {
-    const NAME: &'static str = "rig_subscriber";
-    const ABOUT: &'static str = "receives the messages of the simulated rig's nodes";
-    type Parameters = ();
-    type Input = ();
-
-    fn handle(&mut self, _: &mut NodeContext<()>, (): ()) {}
-}
-
-impl RigSubscriber {
-    /// Subscribes to all topics of the nodes and keeps their messages.
-    pub(super) fn subscribe(
-        context: &mut NodeContext<()>,
-        received: &Arc<Mutex<Received>>,
-    ) -> Result<Self, NodeError> {
+/// Starts a node on the platform's computer that keeps the messages of all topics of the nodes.
+pub(super) fn start_subscriber(
+    platform: &mut Process,
+    received: Arc<Mutex<Received>>,
+) -> Result<(), NodeError> {
+    platform.start_closure("rig_subscriber", move |context: &mut NodeContext<()>| {
         use QosPreset::{Latched, Sensor, State};
+        let received = &received;
         subscribe(context, topics::ODOMETRY, State, received, |h| &mut h.odometry)?;
         subscribe(context, topics::VISUAL_POSE, State, received, |h| &mut h.visual_pose)?;
         subscribe(context, topics::MARKER_UPDATES, State, received, |h| &mut h.marker_updates)?;
@@ -82,8 +62,8 @@ impl RigSubscriber {
         subscribe(context, topics::CLIMBER_TRANSFORM, State, received, |h| &mut h.climber)?;
         subscribe(context, topics::absolute::TF, State, received, |h| &mut h.tf)?;
         subscribe(context, topics::absolute::TF_STATIC, Latched, received, |h| &mut h.tf_static)?;
-        Ok(Self)
-    }
+        Ok(|_: &mut NodeContext<()>, ()| ())
+    })
 }
 
 /// Where the messages of a topic are kept.
