@@ -73,9 +73,3 @@ fn series(
     let points = points.into_iter().collect();
     Series { name: name.into(), color, shape, points, spread: Vec::new() }
 }
-
-fn table<const N: usize>(head: [&str; N], rows: impl IntoIterator<Item = [String; N]>) -> Table {
-    let mut table = Table { head: head.map(str::to_owned).to_vec(), rows: Vec::new() };
-    rows.into_iter().for_each(|row| table.push(row.to_vec()));
-    table
-}

@@ -1,6 +1,6 @@
 //! Fig. 9: the translation of a stationary IMU, with and without threshold control.
 
-use super::{Made, Value, axis, series, table};
+use super::{Made, Value, axis, series};
 use crate::{
     accuracy::{THRESHOLD, Track, inertial_alone},
     live::Scenario,
@@ -9,7 +9,7 @@ use anyhow::Result;
 use nalgebra::{Isometry3, Point3};
 use rig_simulator::motion::MotionConfig;
 use std::fmt::Write;
-use volant::report::{Panel, Shape, Sheet, colors, panels};
+use volant::report::{Panel, Shape, Sheet, Table, colors, panels};
 
 /// How long it is watched, s.
 const SECONDS: f64 = 20.0;
@@ -53,8 +53,8 @@ pub fn figure_9(seed: u64) -> Result<Made> {
         title: "Fig. 9: translation while stationary, with and without threshold control",
         csv,
         svg: draw(&without, &literal, &held, smallest)?,
-        table: Some(table(
-            ["threshold", &format!("furthest within {SECONDS:.0} s [mm]")],
+        table: Some(Table::new(
+            &format!("threshold | furthest within {SECONDS:.0} s [mm]"),
             [
                 row("none", &without),
                 row("1e-5 m/s, as published", &literal),

@@ -87,6 +87,13 @@ pub struct Table {
 }
 
 impl Table {
+    /// Creates a table without best cells; the titles in `head` are separated by ` | `.
+    pub fn new<R: Into<Vec<String>>>(head: &str, rows: impl IntoIterator<Item = R>) -> Self {
+        let mut table = Self { head: head.split(" | ").map(str::to_owned).collect(), rows: vec![] };
+        rows.into_iter().for_each(|row| table.push(row.into()));
+        table
+    }
+
     /// Converts CSV; numbers are rounded to `digits` decimals. `best` marks the smallest number of
     /// each row.
     pub fn from_csv(csv: &str, digits: usize, best: bool) -> Self {
@@ -136,6 +143,14 @@ impl Table {
             text.push('\n');
         }
         text
+    }
+
+    /// Formats the table as Markdown.
+    pub fn to_markdown(&self) -> String {
+        let line = |cells: Vec<&str>| format!("| {} |\n", cells.join(" | "));
+        let head = [self.head.iter().map(String::as_str).collect(), vec!["---"; self.head.len()]];
+        let rows = self.rows.iter().map(|row| row.iter().map(|(cell, _)| cell.as_str()).collect());
+        head.into_iter().chain(rows).map(line).collect()
     }
 }
 
@@ -285,6 +300,10 @@ mod tests {
         );
         assert_eq!(table.rows[1][0].0, "y, z");
         assert_eq!(table.rows[1][1], (String::new(), false));
+        assert_eq!(
+            Table::new("axis | a", [["x".to_owned(), "0.12".to_owned()]]).to_markdown(),
+            "| axis | a |\n| --- | --- |\n| x | 0.12 |\n"
+        );
         let svg = palette::finished(
             "<svg width=\"9\" height=\"4\" xmlns=\"http://www.w3.org/2000/svg\"><g/></svg>",
             "n",

@@ -1,10 +1,10 @@
 //! Figs. 2 and 7: pose from chessboards and from four markers.
 
 use super::{Csv, distinct, label, rounded_up};
-use crate::paper::{Made, Value, axis, table};
+use crate::paper::{Made, Value, axis};
 use anyhow::Result;
 use std::path::Path;
-use volant::report::{Panel, Series, Shape, Sheet, panels};
+use volant::report::{Panel, Series, Shape, Sheet, Table, panels};
 
 /// Figs. 2 and 7: `which` is the one.
 pub fn boards(which: &'static str, folder: &Path) -> Result<Made> {
@@ -118,7 +118,7 @@ pub fn boards(which: &'static str, folder: &Path) -> Result<Made> {
         title,
         csv: csv.text,
         svg,
-        table: Some(table(["from", "found", "mean [mm]", "mean [deg]"], rows)),
+        table: Some(Table::new("from | found | mean [mm] | mean [deg]", rows)),
         values,
         shows: shows.to_owned(),
         published: published.to_owned(),

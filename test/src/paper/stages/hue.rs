@@ -1,12 +1,12 @@
 //! Fig. 5: hue histograms of the markers.
 
 use super::{Shot, Stages, chart_color};
-use crate::paper::{Made, Value, axis, series, table};
+use crate::paper::{Made, Value, axis, series};
 use anyhow::Result;
 use marker_tracker::hue;
 use rig_model::{MarkerColor, PerColor};
 use std::fmt::Write;
-use volant::report::{Panel, Shape, Sheet, colors, panels};
+use volant::report::{Panel, Shape, Sheet, Table, colors, panels};
 
 const TITLE: &str = "Fig. 5: hue histograms of the markers";
 /// Where the default tracker searches.
@@ -40,13 +40,13 @@ impl Stages {
                 format!("{:.0} %", 100.0 * near(&around)),
             ]
         });
-        let head = ["marker", "peak [deg]", "share within 30 deg of it", "rest of the image there"];
+        let head = "marker | peak [deg] | share within 30 deg of it | rest of the image there";
         Ok(Made {
             name: "fig-5",
             title: TITLE,
             csv,
             svg: draw_5(&estimated, &around)?,
-            table: Some(table(head, rows)),
+            table: Some(Table::new(head, rows)),
             values: vec![
                 Value::new("search window around the previous center", "at least 25 px", WINDOW),
                 Value::new("bins of a histogram", "–", bins.to_string()),

@@ -16,13 +16,12 @@ pub fn page(rig: &Path, state: &State) -> Page {
         let outcome = record.map_or("not done", |r| r.outcome.word());
         let mut blocks = vec![];
         if let Some(record) = record {
-            let head = ["", "item", "result"].map(str::to_owned).to_vec();
-            let rows = record.items.iter().map(|item| {
-                let cells = [item.verdict.word().to_owned(), item.name.clone(), item.text.clone()];
-                cells.map(|cell| (cell, false)).to_vec()
-            });
+            let rows = record
+                .items
+                .iter()
+                .map(|item| [item.verdict.word().to_owned(), item.name.clone(), item.text.clone()]);
             if !record.items.is_empty() {
-                blocks.push(Block::Table(Table { head, rows: rows.collect() }));
+                blocks.push(Block::Table(Table::new(" | item | result", rows)));
             }
             for wrote in &record.wrote {
                 blocks.push(Block::labelled("Written:", wrote.clone()));
