@@ -33,7 +33,6 @@ pub fn render(facts: Vec<(String, String)>, made: &[Made], missing: &[(&str, Str
         });
     }
     let page = Page {
-        over: "Volant: pose of a robot that hangs from a ceiling crane".into(),
         title: TITLE.into(),
         lead: "N. Kyriakoulis and A. Gasteratos, “Color-Based Monocular Visuoinertial 3-D Pose \
                Estimation of a Volant Robot”, IEEE Transactions on Instrumentation and Measurement \

@@ -182,13 +182,11 @@ pub struct Section {
 /// Page.
 #[derive(Clone, Debug, Default)]
 pub struct Page {
-    /// Line above the title.
-    pub over: String,
     /// Title.
     pub title: String,
     /// Paragraph below the title.
     pub lead: String,
-    /// Facts needed to reproduce the page: name and value.
+    /// Facts needed to reproduce the page, beside the version: name and value.
     pub facts: Vec<(String, String)>,
     /// Sections.
     pub sections: Vec<Section>,
@@ -205,19 +203,18 @@ impl Page {
              <link rel=\"icon\" \
              href=\"data:,\">\n<title>{0}</title>\n<style>\n{STYLE}{1}\n</style>\n</head>\n\
              <body>\n<main>\n\
-             <header>\n<p class=\"over\">{2}</p>\n<h1>{0}</h1>\n<p class=\"lead\">{3}</p>\n",
+             <header>\n<p class=\"over\">Volant: pose of a robot that hangs from a ceiling \
+             crane</p>\n<h1>{0}</h1>\n<p class=\"lead\">{2}</p>\n\
+             <dl>\n<dt>Made by</dt><dd>volant {3}</dd>\n",
             escape(&self.title),
             palette::style(),
-            escape(&self.over),
             escape(&self.lead),
+            env!("CARGO_PKG_VERSION"),
         );
-        if !self.facts.is_empty() {
-            html.push_str("<dl>\n");
-            for (name, value) in &self.facts {
-                let _ = writeln!(html, "<dt>{}</dt><dd>{}</dd>", escape(name), marked(value));
-            }
-            html.push_str("</dl>\n");
+        for (name, value) in &self.facts {
+            let _ = writeln!(html, "<dt>{}</dt><dd>{}</dd>", escape(name), marked(value));
         }
+        html.push_str("</dl>\n");
         if self.sections.len() > 1 {
             html.push_str("<nav aria-label=\"Contents\"><ol>\n");
             for s in &self.sections {

@@ -30,10 +30,7 @@ pub fn page(rig: &Path, state: &State) -> Page {
         Section { title: format!("{}. {name}: {outcome}", i + 1), id: name, blocks }
     });
     let recordings = state.recordings.iter();
-    let mut facts = vec![
-        ("Made by".to_owned(), format!("volant {}", env!("CARGO_PKG_VERSION"))),
-        ("Rig file".to_owned(), rig.display().to_string()),
-    ];
+    let mut facts = vec![("Rig file".to_owned(), rig.display().to_string())];
     facts.extend(
         recordings.map(|(name, path)| (format!("Recording {name}"), path.display().to_string())),
     );
@@ -41,7 +38,6 @@ pub fn page(rig: &Path, state: &State) -> Page {
     let accepted = state.steps.get(&Step::Acceptance.name());
     let accepted = accepted.is_some_and(|r| r.outcome == Outcome::Done) && !failed;
     Page {
-        over: "Volant: pose of a robot that hangs from a ceiling crane".into(),
         title: format!("Bring-up: {}", if accepted { "accepted" } else { "not accepted" }),
         lead: "Each step with what it checked and what it wrote.".into(),
         facts,
