@@ -2,11 +2,16 @@
 //! the page are in `volant::report`.
 
 use crate::accuracy::{AXES, Errors, UNITS};
-use node_kit::files::{self, FileError};
+use anyhow::Result;
+use node_kit::{
+    files::{self, FileError},
+    outln,
+};
 use std::{
     path::{Path, PathBuf},
     process::Command,
 };
+use volant::report::Table;
 
 /// Paragraph that names the version with which a table was measured, and the commit where git knows
 /// it.
@@ -49,14 +54,66 @@ impl TableFile {
         let page = format!("{head}{}{table}", measured_with());
         files::write(path, page.as_bytes(), self.overwrite)
     }
+
+    /// Writes the table like [`Self::write`], and prints it.
+    pub fn publish(&self, head: &str, table: &str) -> Result<()> {
+        self.write(head, table)?;
+        outln!("{table}")?;
+        Ok(())
+    }
 }
 
-/// Whether a row of a table holds, as Markdown.
-pub fn verdict(failures: &[String]) -> String {
-    if failures.is_empty() {
-        "holds".to_owned()
-    } else {
-        format!("**fails**: {}", failures.join("; "))
+/// Result of a live run: figures for the table, a remark for the terminal, and what does not hold.
+pub struct Measured {
+    pub cells: Vec<String>,
+    pub remark: String,
+    pub failures: Vec<String>,
+}
+
+/// Table of live runs: name, figures and verdict of each.
+pub struct LiveTable {
+    head: &'static str,
+    rows: Vec<Vec<String>>,
+    /// Number of rows that hold.
+    held: usize,
+}
+
+impl LiveTable {
+    /// `head` as in [`Table::new`].
+    pub fn new(head: &'static str) -> Self {
+        Self { head, rows: vec![], held: 0 }
+    }
+
+    /// Adds a run and returns its verdict for the terminal. An error means that the run has neither
+    /// passed nor failed.
+    pub fn add(&mut self, name: &str, result: Result<impl Into<Measured>>) -> String {
+        let mut row = vec![name.to_owned()];
+        let (verdict, line) = match result.map(Into::into) {
+            Err(reason) => {
+                row.resize(self.head.matches(" | ").count(), "–".to_owned());
+                (format!("**skipped**: {reason}"), format!("SKIPPED: {reason}"))
+            }
+            Ok(Measured { cells, remark, failures }) => {
+                row.extend(cells);
+                let reasons = failures.join("; ");
+                self.held += usize::from(failures.is_empty());
+                match failures.is_empty() {
+                    true => ("holds".to_owned(), format!("holds{remark}")),
+                    false => (format!("**fails**: {reasons}"), format!("FAILS{remark}: {reasons}")),
+                }
+            }
+        };
+        row.push(verdict);
+        self.rows.push(row);
+        line
+    }
+
+    /// Prints the table, and writes it below `head`; returns whether all rows hold.
+    pub fn finish(self, file: &TableFile, head: &str) -> Result<bool> {
+        let rows = self.rows.len();
+        file.publish(head, &Table::new(self.head, self.rows).to_markdown())?;
+        outln!("{} of {rows} rows hold", self.held)?;
+        Ok(self.held == rows)
     }
 }
 
@@ -91,6 +148,22 @@ mod tests {
         let text = measured_with();
         assert!(text.starts_with(concat!("Measured with version ", env!("CARGO_PKG_VERSION"))));
         assert!(text.ends_with(".\n\n") && text.lines().count() == 2, "{text}");
+    }
+
+    #[test]
+    fn a_row_of_live_runs_holds_fails_or_is_skipped() {
+        let mut table = LiveTable::new("fault | error | verdict");
+        let run = |failures: &[&str]| Measured {
+            cells: vec!["1 mm".to_owned()],
+            remark: " (1 mm)".to_owned(),
+            failures: failures.iter().map(|f| (*f).to_owned()).collect(),
+        };
+        assert_eq!(table.add("a", Ok(run(&[]))), "holds (1 mm)");
+        assert_eq!(table.add("b", Ok(run(&["x", "y"]))), "FAILS (1 mm): x; y");
+        assert_eq!(table.add("c", Err::<Measured, _>(anyhow::anyhow!("z"))), "SKIPPED: z");
+        let rows = [["a", "1 mm", "holds"], ["b", "1 mm", "**fails**: x; y"]];
+        assert!(table.held == 1 && table.rows[..2] == rows);
+        assert_eq!(table.rows[2], ["c", "–", "**skipped**: z"]);
     }
 
     #[test]

@@ -12,7 +12,7 @@ mod incomplete;
 mod parameters;
 mod source;
 mod stages;
-mod video;
+pub mod video;
 
 pub use parameters::MarkerTrackerParameters;
 pub use source::Frame;

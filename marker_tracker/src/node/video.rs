@@ -1,4 +1,4 @@
-//! Video file, decoded by an `ffmpeg` process.
+//! Video file, decoded by an `ffmpeg` process. [`Frames`] is that process, for other programs too.
 
 use super::{Arrival, MarkerTrackerParameters, source::Frame};
 use node_kit::{Clock, DeviceSender};
@@ -38,7 +38,7 @@ pub(crate) fn probe(path: &str) -> Result<Video, String> {
 }
 
 fn not_installed(program: &str, error: &io::Error) -> String {
-    format!("{program} did not start ({error}); video files need it: apt-get install ffmpeg")
+    format!("{program} did not start ({error}); install it: apt-get install ffmpeg")
 }
 
 /// Parses ffprobe's `640,480,30000/1001,30000/1001`: size, base rate and mean rate.
@@ -72,16 +72,21 @@ impl Drop for Killed {
     }
 }
 
-/// Frames that a process writes.
-struct Frames {
+/// Frames that an `ffmpeg` process writes; it is killed on drop.
+pub struct Frames {
     child: Killed,
-    pipe: ChildStdout,
+    /// Standard output of the process.
+    pub pipe: ChildStdout,
     /// The last line of its messages, read on a thread of its own so that their pipe never fills.
     reason: JoinHandle<Option<String>>,
 }
 
 impl Frames {
-    fn start(command: &mut Command) -> Result<Self, String> {
+    /// Starts the process.
+    ///
+    /// # Errors
+    /// It did not start, such as because it is not installed.
+    pub fn start(command: &mut Command) -> Result<Self, String> {
         let piped = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         let child = piped.spawn().map_err(|e| not_installed("ffmpeg", &e))?;
         let mut child = Killed(child);
@@ -106,6 +111,11 @@ impl Frames {
         }
     }
 
+    /// Waits for the end of the process's messages, and returns the last line of them.
+    pub fn reason(self) -> Option<String> {
+        self.reason.join().ok().flatten()
+    }
+
     /// Waits for the process after its last frame.
     ///
     /// # Errors
@@ -115,8 +125,7 @@ impl Frames {
         if is_done && number > 0 {
             return Ok(());
         }
-        let reason = self.reason.join().ok().flatten();
-        let reason = reason.unwrap_or_else(|| "no reason given".to_owned());
+        let reason = self.reason().unwrap_or_else(|| "no reason given".to_owned());
         Err(format!("ffmpeg failed after {number} frames ({reason}); convert it to another format"))
     }
 }

@@ -1,7 +1,7 @@
 //! Faults on real processes: each row of the table breaks one part of a live rig for some seconds
 //! and asserts on what the nodes published meanwhile and afterwards.
 //!
-//! [`table`] has the rows, [`Row::run`] runs one, [`markdown`] writes the table of the results.
+//! [`table`] has the rows, [`Row::run`] runs one, [`COLUMNS`] are the titles of their table.
 
 mod injectors;
 pub(crate) mod outcome;
@@ -13,11 +13,11 @@ pub use table::table;
 
 use crate::{
     live::{ImageSequence, Run, Scenario, Site, bag},
-    report::verdict,
+    report::Measured,
 };
 use anyhow::{Result, anyhow};
 use node_kit::environment::Network;
-use std::{fmt::Write, path::Path, sync::Arc};
+use std::{path::Path, sync::Arc};
 
 /// Seconds of the scenario at which a fault begins and ends.
 pub const WINDOW: [f64; 2] = [2.0, 5.0];
@@ -108,35 +108,20 @@ impl Row {
     }
 }
 
-/// The results as a Markdown table: fault, odometry, diagnostics, time until the pose was back.
-pub fn markdown(outcomes: &[(&'static str, Result<Outcome, String>)]) -> String {
-    let mut text = String::from(
-        "| fault | odometry meanwhile | largest error meanwhile | diagnostics | back after | \
-         verdict |\n| --- | --- | --- | --- | --- | --- |\n",
-    );
-    for (fault, outcome) in outcomes {
-        let o = match outcome {
-            Ok(outcome) => outcome,
-            Err(reason) => {
-                let _ = writeln!(text, "| {fault} | – | – | – | – | **skipped**: {reason} |");
-                continue;
-            }
-        };
-        let back = o.back_after.map_or("not".to_owned(), |s| format!("{s:.2} s"));
-        let error = if o.rate > 0.0 {
-            format!("{:.1} mm, {:.2}°", o.worst_position, o.worst_rotation)
-        } else {
-            "–".to_owned()
-        };
-        let _ = writeln!(
-            text,
-            "| {fault} | {:.0} % of the samples, longest gap {:.0} ms | {error} | {} | {back} | \
-             {} |",
-            o.rate * 100.0,
-            o.longest_gap * 1e3,
-            o.report.as_deref().unwrap_or("–"),
-            verdict(&o.failures),
-        );
+/// Column titles of the results.
+pub const COLUMNS: &str = "fault | odometry meanwhile | largest error meanwhile | diagnostics | \
+                           back after | verdict";
+
+impl From<Outcome> for Measured {
+    fn from(o: Outcome) -> Self {
+        let error = format!("{:.1} mm, {:.2}°", o.worst_position, o.worst_rotation);
+        let share = o.rate * 100.0;
+        let cells = vec![
+            format!("{share:.0} % of the samples, longest gap {:.0} ms", o.longest_gap * 1e3),
+            if o.rate > 0.0 { error } else { "–".to_owned() },
+            o.report.unwrap_or_else(|| "–".to_owned()),
+            o.back_after.map_or("not".to_owned(), |s| format!("{s:.2} s")),
+        ];
+        Self { cells, remark: String::new(), failures: o.failures }
     }
-    text
 }

@@ -6,12 +6,12 @@ use crate::live::{Node, processes::executables, quantile};
 use anyhow::{Result, ensure};
 use bag::recording::map_messages;
 use std::{
-    fmt::Write as _,
     path::Path,
     process::Command,
     sync::atomic::Ordering::Relaxed,
     time::{Duration, SystemTime, UNIX_EPOCH},
 };
+use volant::report::Table;
 use volant_msgs::nav_msgs::msg::Odometry;
 
 /// Domains: the operator's, and the first rig's.
@@ -237,28 +237,23 @@ fn row(span: &Span, received: &[[Received; 2]]) -> Row {
 }
 
 pub fn markdown(rows: &[Row]) -> String {
-    let mut text = String::from(
-        "| link | odometry of those due | stamp to operator, median / p99 | at the rig | longest \
-         gap | both ways |\n| --- | --- | --- | --- | --- | --- |\n",
-    );
-    for row in rows {
-        let ms = |[median, p99]: [f64; 2]| match median.is_nan() {
-            true => "–".to_owned(),
-            false => format!("{:.1} / {:.1} ms", median * 1e3, p99 * 1e3),
-        };
-        // Writing to a string cannot fail.
-        let _ = writeln!(
-            text,
-            "| {} | {:.0} % | {} | {} | {:.2} s | {:.1} kB/s |",
-            row.name,
-            row.share * 1e2,
+    let head = "link | odometry of those due | stamp to operator, median / p99 | at the rig | \
+                longest gap | both ways";
+    let ms = |[median, p99]: [f64; 2]| match median.is_nan() {
+        true => "–".to_owned(),
+        false => format!("{:.1} / {:.1} ms", median * 1e3, p99 * 1e3),
+    };
+    let cells = |row: &Row| {
+        [
+            row.name.to_owned(),
+            format!("{:.0} %", row.share * 1e2),
             ms(row.latency),
             ms(row.at_rig),
-            row.longest_gap,
-            row.bytes_per_second * 1e-3
-        );
-    }
-    text
+            format!("{:.2} s", row.longest_gap),
+            format!("{:.1} kB/s", row.bytes_per_second * 1e-3),
+        ]
+    };
+    Table::new(head, rows.iter().map(cells)).to_markdown()
 }
 
 #[cfg(test)]

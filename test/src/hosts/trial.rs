@@ -6,13 +6,12 @@ use crate::{
     accuracy::Errors,
     faults::outcome,
     live::{ClockError, Host, ImageSequence, Node, Run, Scenario, Site},
-    report::verdict,
+    report::Measured,
 };
 use anyhow::Result;
 use node_kit::environment::Network;
 use rig_model::Stamp;
 use std::{
-    fmt::Write,
     path::{Path, PathBuf},
     sync::Arc,
 };
@@ -268,36 +267,24 @@ impl Trial {
     }
 }
 
-pub fn markdown(rows: &[(&'static str, Result<Seen, String>)]) -> String {
-    let mut text = String::from(
-        "| between the hosts | first pose after | position, rotation RMSE | odometry | back after \
-         | frames, lost | verdict |\n\
-         | --- | --- | --- | --- | --- | --- | --- |\n",
-    );
-    for (name, seen) in rows {
-        let _ = match seen {
-            Err(reason) => writeln!(text, "| {name} | – | – | – | – | – | **skipped**: {reason} |"),
-            Ok(s) => {
-                let back = match s.back_after {
-                    None => "–".to_owned(),
-                    Some(t) if t.is_finite() => format!("{t:.2} s"),
-                    Some(_) => "not".to_owned(),
-                };
-                writeln!(
-                    text,
-                    "| {name} | {:.2} s | {:.2} mm, {:.3}° | {:.1} %, longest gap {:.0} ms | \
-                     {back} | {:.0}, {:.1} % | {} |",
-                    s.first_pose,
-                    s.position,
-                    s.rotation,
-                    s.rate * 100.0,
-                    s.longest_gap * 1e3,
-                    s.frames[0],
-                    s.frames[1] * 100.0,
-                    verdict(&s.failures),
-                )
-            }
+/// Column titles of the results.
+pub const COLUMNS: &str = "between the hosts | first pose after | position, rotation RMSE | \
+                           odometry | back after | frames, lost | verdict";
+
+impl From<Seen> for Measured {
+    fn from(s: Seen) -> Self {
+        let back = match s.back_after {
+            None => "–".to_owned(),
+            Some(t) if t.is_finite() => format!("{t:.2} s"),
+            Some(_) => "not".to_owned(),
         };
+        let cells = vec![
+            format!("{:.2} s", s.first_pose),
+            format!("{:.2} mm, {:.3}°", s.position, s.rotation),
+            format!("{:.1} %, longest gap {:.0} ms", s.rate * 100.0, s.longest_gap * 1e3),
+            back,
+            format!("{:.0}, {:.1} %", s.frames[0], s.frames[1] * 100.0),
+        ];
+        Self { cells, remark: format!(" ({:.2} mm)", s.position), failures: s.failures }
     }
-    text
 }

@@ -2,7 +2,7 @@
 //! and the default one, all with the same gravity.
 
 use super::{
-    Made, Value, axis,
+    Made, Value,
     bars::{Bars, decades, draw_bars},
     offline::{filter, fuse, record, track},
 };
@@ -16,7 +16,7 @@ use nalgebra::Isometry3;
 use pose_fusion::Model;
 use rig_model::Stamp;
 use std::fmt::Write;
-use volant::report::{Color, Curve, Run, Table, colors, six_curves};
+use volant::report::{Axis, Color, Curve, Run, Table, colors, six_curves};
 
 /// An estimator of Table II.
 struct Column {
@@ -249,7 +249,7 @@ fn draw_errors(columns: &[Column], errors: &[Errors]) -> String {
         let half = i / 3 * 3;
         let range = decades((half..half + 3).flat_map(of));
         Bars {
-            axis: axis(format!("{} [{}]", AXES[i], UNITS[i]), range, true),
+            axis: Axis::new(format!("{} [{}]", AXES[i], UNITS[i]), range, true),
             values: of(i).collect(),
             spread: Vec::new(),
         }

@@ -14,7 +14,7 @@ pub mod report;
 pub mod stages;
 pub mod stationary;
 
-use volant::report::{Axis, Color, Series, Shape, Table};
+use volant::report::Table;
 
 /// What can be made, in the order of the paper.
 pub const NAMES: [&str; 11] = [
@@ -57,25 +57,4 @@ pub struct Made {
     pub shows: String,
     /// Where it differs from what was published, and why.
     pub published: String,
-}
-
-fn axis(name: impl Into<String>, range: [f64; 2], log: bool) -> Axis {
-    Axis { name: name.into(), range, log }
-}
-
-/// A series without whiskers.
-fn series(
-    name: impl Into<String>,
-    color: Color,
-    shape: Shape,
-    points: impl IntoIterator<Item = (f64, f64)>,
-) -> Series {
-    let points = points.into_iter().collect();
-    Series { name: name.into(), color, shape, points, spread: Vec::new() }
-}
-
-fn table<const N: usize>(head: [&str; N], rows: impl IntoIterator<Item = [String; N]>) -> Table {
-    let mut table = Table { head: head.map(str::to_owned).to_vec(), rows: Vec::new() };
-    rows.into_iter().for_each(|row| table.push(row.to_vec()));
-    table
 }

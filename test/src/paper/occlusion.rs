@@ -2,9 +2,8 @@
 //! with and without its predicted position (eq. 3).
 
 use super::{
-    Made, Value, axis,
+    Made, Value,
     offline::{filter, fuse, record, track},
-    series,
     stages::{chart_color, rgb_of},
 };
 use crate::{
@@ -17,7 +16,7 @@ use nalgebra::Vector2;
 use pose_fusion::Model;
 use rig_model::{MarkerColor, MarkerObservations, MarkerState};
 use std::fmt::Write;
-use volant::report::{Anchor, Drawing, Panel, Shape, Sheet, colors, panels};
+use volant::report::{Anchor, Axis, Drawing, Panel, Series, Shape, Sheet, colors, panels};
 
 const TITLE: &str = "Fig. 6: an occluded marker";
 /// Length of the run, s.
@@ -222,10 +221,10 @@ fn draw(
         }
     }
     let span = [from - 1.0, to + 0.7];
-    let time = || axis("time [s]", span, false);
+    let time = || Axis::new("time [s]", span, false);
     let of = |name: &str, color, shape, places: &[Place], state: MarkerState| {
         let error = |p: &Place| (p.0, if p.1 == state { p.2 } else { f64::NAN });
-        series(name, color, shape, places.iter().map(error))
+        Series::new(name, color, shape, places.iter().map(error))
     };
     // Without a line across more than two images that have no pose.
     let column = |rows: &[[f64; 3]], c: usize| -> Vec<(f64, f64)> {
@@ -242,7 +241,7 @@ fn draw(
     };
     let covered = |high: f64, low: f64| {
         let ends = [(from, low), (from, high), (f64::NAN, f64::NAN), (to, low), (to, high)];
-        series("covered", colors::AXIS, Shape::Line(1), ends)
+        Series::new("covered", colors::AXIS, Shape::Line(1), ends)
     };
     let errors = |title: &str, unit: &str, c: usize| {
         // Space for the largest error of the span.
@@ -252,12 +251,12 @@ fn draw(
         Panel {
             title: title.into(),
             x: time(),
-            y: axis(format!("error [{unit}]"), [0.0, top], false),
+            y: Axis::new(format!("error [{unit}]"), [0.0, top], false),
             series: vec![
                 covered(top, 0.0),
-                series(WITHOUT, colors::CAMERA, Shape::Line(3), column(without, c)),
-                series(WITH, colors::PAPER, Shape::Line(1), column(with, c)),
-                series("default filter", colors::FUSED, Shape::Line(2), column(fused, c)),
+                Series::new(WITHOUT, colors::CAMERA, Shape::Line(3), column(without, c)),
+                Series::new(WITH, colors::PAPER, Shape::Line(1), column(with, c)),
+                Series::new("default filter", colors::FUSED, Shape::Line(2), column(fused, c)),
             ],
         }
     };
@@ -266,7 +265,7 @@ fn draw(
     let position = Panel {
         title: format!("reported position of the {} marker", cover.color),
         x: time(),
-        y: axis("off the truth [px]", [0.001, 30.0], true),
+        y: Axis::new("off the truth [px]", [0.001, 30.0], true),
         series: vec![
             covered(30.0, 0.001),
             of("detected", chart_color(cover.color), Shape::Dots, rigid, detected),

@@ -1,7 +1,7 @@
 //! The page that shows what was made.
 
-use super::{Made, table};
-use volant::report::{Block, Page, Section};
+use super::Made;
+use volant::report::{Block, Page, Section, Table};
 
 pub const TITLE: &str = "Published figures and tables, reproduced";
 
@@ -13,7 +13,7 @@ pub fn render(facts: Vec<(String, String)>, made: &[Made], missing: &[(&str, Str
             vec![Block::labelled("What it shows.", &m.shows), Block::Figure(m.svg.clone())];
         blocks.extend(m.table.clone().map(Block::Table));
         let rows = m.values.iter().map(|v| [&v.what, &v.published, &v.here].map(String::clone));
-        blocks.push(Block::Table(table(["quantity", "published", "here"], rows)));
+        blocks.push(Block::Table(Table::new("quantity | published | here", rows)));
         blocks.push(Block::labelled("Against the published one.", &m.published));
         blocks.push(Block::Note(format!(
             "Numbers: `{0}.csv`. Image: `{0}.svg`. Alone: `volant reproduce {0} --out DIR`.",
@@ -33,7 +33,6 @@ pub fn render(facts: Vec<(String, String)>, made: &[Made], missing: &[(&str, Str
         });
     }
     let page = Page {
-        over: "Volant: pose of a robot that hangs from a ceiling crane".into(),
         title: TITLE.into(),
         lead: "N. Kyriakoulis and A. Gasteratos, “Color-Based Monocular Visuoinertial 3-D Pose \
                Estimation of a Volant Robot”, IEEE Transactions on Instrumentation and Measurement \

@@ -1,6 +1,6 @@
 //! Fig. 9: the translation of a stationary IMU, with and without threshold control.
 
-use super::{Made, Value, axis, series, table};
+use super::{Made, Value};
 use crate::{
     accuracy::{THRESHOLD, Track, inertial_alone},
     live::Scenario,
@@ -9,7 +9,7 @@ use anyhow::Result;
 use nalgebra::{Isometry3, Point3};
 use rig_simulator::motion::MotionConfig;
 use std::fmt::Write;
-use volant::report::{Panel, Shape, Sheet, colors, panels};
+use volant::report::{Axis, Panel, Series, Shape, Sheet, Table, colors, panels};
 
 /// How long it is watched, s.
 const SECONDS: f64 = 20.0;
@@ -53,8 +53,8 @@ pub fn figure_9(seed: u64) -> Result<Made> {
         title: "Fig. 9: translation while stationary, with and without threshold control",
         csv,
         svg: draw(&without, &literal, &held, smallest)?,
-        table: Some(table(
-            ["threshold", &format!("furthest within {SECONDS:.0} s [mm]")],
+        table: Some(Table::new(
+            &format!("threshold | furthest within {SECONDS:.0} s [mm]"),
             [
                 row("none", &without),
                 row("1e-5 m/s, as published", &literal),
@@ -103,12 +103,12 @@ fn draw(
     let line = |name: &str, color, width, curve: &[(f64, f64)]| {
         // The scale is logarithmic: the curves are orders of magnitude apart.
         let points = curve.iter().step_by(5).map(|(t, d)| (*t, d.max(0.01)));
-        series(name, color, Shape::Line(width), points)
+        Series::new(name, color, Shape::Line(width), points)
     };
     let panel = Panel {
         title: String::new(),
-        x: axis("time [s]", [0.0, SECONDS], false),
-        y: axis("distance from the start [mm]", [0.01, 30_000.0], true),
+        x: Axis::new("time [s]", [0.0, SECONDS], false),
+        y: Axis::new("distance from the start [mm]", [0.01, 30_000.0], true),
         series: vec![
             line("without threshold", colors::CAMERA, 5, without),
             line("1e-5 m/s, as published", colors::INERTIAL, 2, literal),

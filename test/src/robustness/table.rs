@@ -8,7 +8,8 @@ use super::{
 };
 use pose_fusion::FusionConfig;
 use rig_simulator::recording::Recording;
-use std::{fmt::Write, mem::discriminant};
+use std::mem::discriminant;
+use volant::report::Table;
 
 /// No pose further off than this may be called valid, m.
 const WRONG: f64 = 1.0;
@@ -176,35 +177,23 @@ pub fn pairs() -> Vec<(Perturbation, Perturbation)> {
 /// Returns the table as Markdown. A cell is the position RMSE over that of the unchanged run, the
 /// largest error and the NEES of position and rotation; what does not hold is in bold.
 pub fn markdown(benches: &[Bench], rows: &[(Perturbation, Vec<Cell>)]) -> String {
-    let mut text = String::from("| perturbation |");
-    for bench in benches {
-        let _ = write!(text, " {} |", bench.name());
-    }
-    text.push_str("\n| --- |");
-    text.push_str(&" --- |".repeat(benches.len()));
-    text.push_str("\n| none: mm, °, NEES |");
-    for bench in benches {
-        let f = bench.unchanged();
-        let _ = write!(
-            text,
-            " {:.2}, {:.3}, {:.1} / {:.1} |",
-            f.position[0], f.rotation[0], f.nees[0], f.nees[1]
-        );
-    }
-    text.push('\n');
+    let unchanged: Vec<Figures> = benches.iter().map(Bench::unchanged).collect();
+    let row = |name: &str, cell: &dyn Fn(usize) -> String| -> Vec<String> {
+        std::iter::once(name.to_owned()).chain((0..benches.len()).map(cell)).collect()
+    };
+    let head = row("perturbation", &|i| benches[i].name().to_owned()).join(" | ");
+    let mut lines = vec![row("none: mm, °, NEES", &|i| {
+        let Figures { position: [position, _], rotation: [rotation, _], nees, .. } = unchanged[i];
+        format!("{position:.2}, {rotation:.3}, {:.1} / {:.1}", nees[0], nees[1])
+    })];
     for (perturbation, cells) in rows {
-        let _ = write!(text, "| {perturbation} |");
-        for (bench, cell) in benches.iter().zip(cells) {
-            let factor = cell.whole.position[0] / bench.unchanged().position[0];
-            let mark =
-                if cell.failures.is_empty() && cell.catastrophe.is_none() { "" } else { "**" };
-            let _ = write!(
-                text,
-                " {mark}{factor:.2}{mark}, {:.0} mm, {:.1} / {:.1} |",
-                cell.whole.position[1], cell.whole.nees[0], cell.whole.nees[1]
-            );
-        }
-        text.push('\n');
+        lines.push(row(&perturbation.to_string(), &|i| {
+            let Figures { position: [position, worst], nees, .. } = cells[i].whole;
+            let factor = position / unchanged[i].position[0];
+            let holds = cells[i].failures.is_empty() && cells[i].catastrophe.is_none();
+            let mark = if holds { "" } else { "**" };
+            format!("{mark}{factor:.2}{mark}, {worst:.0} mm, {:.1} / {:.1}", nees[0], nees[1])
+        }));
     }
-    text
+    Table::new(&head, lines).to_markdown()
 }

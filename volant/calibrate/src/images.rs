@@ -1,13 +1,15 @@
 //! Images from a folder, a bag, a video file, a camera or a live topic, one after the other.
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Error, Result, anyhow, bail, ensure};
 use bag::BagReader;
+use marker_tracker::{ImageError, OwnedImage, from_encoding, node::video::Frames};
 use opencv::{core, imgcodecs, imgproc, prelude::*};
+use rig_model::Stamp;
 use std::{
     io::{self, BufRead, BufReader},
     os::unix::fs::FileTypeExt,
     path::{Path, PathBuf},
-    process::{Child, Command, Stdio},
+    process::Command,
     sync::mpsc::{RecvTimeoutError, sync_channel},
     time::Duration,
 };
@@ -120,16 +122,6 @@ fn from_files(source: &Path, take: &mut impl FnMut(Frame) -> Result<bool>) -> Re
     Ok(files.len())
 }
 
-/// Ends the process on drop.
-struct Killed(Child);
-
-impl Drop for Killed {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
 /// A video file or a V4L2 device, decoded by an `ffmpeg` process.
 fn from_ffmpeg(
     source: &Path,
@@ -143,41 +135,21 @@ fn from_ffmpeg(
         command.args(["-f", "v4l2"]);
     }
     command.arg("-i").arg(source).args(["-f", "image2pipe", "-c:v", "ppm", "pipe:1"]);
-    let child = command
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .map_err(|e| {
-            anyhow::anyhow!(
-                "ffmpeg does not start ({e}); videos and cameras need it: apt-get install ffmpeg"
-            )
-        })?;
-    let mut child = Killed(child);
-    let (Some(pipe), Some(errors)) = (child.0.stdout.take(), child.0.stderr.take()) else {
-        bail!("ffmpeg has no output")
-    };
-    // Read meanwhile: ffmpeg waits where its errors fill the pipe.
-    let reason = std::thread::spawn(|| BufReader::new(errors).lines().map_while(Result::ok).last());
-    let mut pipe = BufReader::new(pipe);
+    let mut frames = Frames::start(&mut command).map_err(Error::msg)?;
+    let mut pipe = BufReader::new(&mut frames.pipe);
     let mut count = 0;
     let name = source.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-    while let Some((width, height, rgb)) = next_ppm(&mut pipe)
+    while let Some((_, height, rgb)) = next_ppm(&mut pipe)
         .with_context(|| format!("{shown}: the output of ffmpeg is not readable"))?
     {
         count += 1;
-        let flat = core::Mat::from_slice(&rgb)?;
-        let shaped = flat.reshape(3, height)?;
-        ensure!(shaped.cols() == width, "{shown}: width and data are inconsistent");
-        let mut bgr = core::Mat::default();
-        imgproc::cvt_color_def(&shaped, &mut bgr, imgproc::COLOR_RGB2BGR)?;
+        let bgr = from_rgb(&rgb, height)?;
         if !take(Frame { name: format!("{name} #{count}"), bgr })? {
             return Ok(count);
         }
     }
     if count == 0 {
-        let reason = reason.join().ok().flatten();
-        let why = reason.as_deref().map_or("it has no image", str::trim);
+        let why = frames.reason().unwrap_or_else(|| "it has no image".to_owned());
         bail!("{shown}: {why}; check that it is a video, or a connected camera that is not in use");
     }
     Ok(count)
@@ -333,39 +305,32 @@ fn decoded(type_name: &str, data: &[u8]) -> Result<core::Mat> {
 }
 
 fn from_message(image: &msg::Image) -> Result<core::Mat> {
-    let (rows, cols, step) = (image.height as i32, image.width as i32, image.step as usize);
-    let (channels, code) = match image.encoding.as_str() {
-        "bgr8" => (3, None),
-        "rgb8" => (3, Some(imgproc::COLOR_RGB2BGR)),
-        "bgra8" => (4, Some(imgproc::COLOR_BGRA2BGR)),
-        "rgba8" => (4, Some(imgproc::COLOR_RGBA2BGR)),
-        "mono8" => (1, Some(imgproc::COLOR_GRAY2BGR)),
-        other => {
-            bail!(
-                "its encoding {other} is not supported; record bgr8, rgb8, mono8 or compressed \
-                 images"
-            )
+    let (width, height, step) = (image.width as usize, image.height as usize, image.step as usize);
+    let tripled: Vec<u8>;
+    let (encoding, step, data) = match image.encoding.as_str() {
+        "mono8" => {
+            tripled = image.data.iter().flat_map(|light| [*light; 3]).collect();
+            ("rgb8", 3 * step, &tripled)
         }
+        encoding => (encoding, step, &image.data),
     };
-    let row = image.width as usize * channels;
-    ensure!(
-        step >= row
-            && row > 0
-            && image.data.len() >= step * (image.height as usize).saturating_sub(1) + row,
-        "width, height, step and data are inconsistent"
-    );
-    let mut tight = Vec::with_capacity(row * image.height as usize);
-    for line in image.data.chunks(step).take(image.height as usize) {
-        tight.extend_from_slice(&line[..row]);
-    }
-    let flat = core::Mat::from_slice(&tight)?;
-    let shaped = flat.reshape(channels as i32, rows)?;
-    ensure!(shaped.cols() == cols, "width and data are inconsistent");
+    let (at, big_endian, mut scratch) = (Stamp::default(), false, OwnedImage::default());
+    let view = from_encoding(at, width, height, encoding, big_endian, step, data, &mut scratch);
+    let view = view.map_err(|error| match error {
+        ImageError::Size { .. } => anyhow!("width, height, step and data are inconsistent"),
+        _ => anyhow!(
+            "its encoding {encoding} is not supported; record bgr8, rgb8, mono8 or compressed \
+             images"
+        ),
+    })?;
+    from_rgb(&view.to_rgb(), height as i32)
+}
+
+/// Converts pixels of red, green and blue.
+fn from_rgb(rgb: &[u8], height: i32) -> Result<core::Mat> {
+    let flat = core::Mat::from_slice(rgb)?;
     let mut bgr = core::Mat::default();
-    match code {
-        Some(code) => imgproc::cvt_color_def(&shaped, &mut bgr, code)?,
-        None => shaped.copy_to(&mut bgr)?,
-    }
+    imgproc::cvt_color_def(&flat.reshape(3, height)?, &mut bgr, imgproc::COLOR_RGB2BGR)?;
     Ok(bgr)
 }
 

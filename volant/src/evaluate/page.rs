@@ -45,7 +45,6 @@ pub fn page(evaluation: &Evaluation, options: &EvaluateOptions) -> Result<Page, 
     let [bag, truth_bag] = [&options.estimates, &options.truth].map(|p| p.display().to_string());
     let words: [String; 5] = ["volant".into(), "evaluate".into(), bag, "--truth".into(), truth_bag];
     let mut facts = vec![
-        ("Made by".into(), format!("volant {}", env!("CARGO_PKG_VERSION"))),
         ("Command".into(), format!("`{}`", quoted(&words))),
         ("Run".into(), format!("{seconds:.1} s; the table skips the first {} s", options.skip)),
     ];
@@ -56,7 +55,6 @@ pub fn page(evaluation: &Evaluation, options: &EvaluateOptions) -> Result<Page, 
         ));
     }
     Ok(Page {
-        over: "Volant: pose of a robot that hangs from a ceiling crane".into(),
         title: "Estimates against the truth".into(),
         lead: "The truth is interpolated at each estimate's stamp. NEES compares the covariance \
                with the errors: its expected value is 3 for position and for rotation; a larger \
@@ -113,8 +111,7 @@ fn distances(
                 let step = points.len().div_ceil(POINTS).max(1);
                 let thinned = points
                     .chunks(step)
-                    .filter_map(|c| c.iter().copied().max_by(|a, b| a.1.total_cmp(&b.1)))
-                    .collect();
+                    .filter_map(|c| c.iter().copied().max_by(|a, b| a.1.total_cmp(&b.1)));
                 let shape = if drawn.width == 0 { Shape::Dots } else { Shape::Line(2) };
                 Series::new(drawn.name, drawn.color, shape, thinned)
             })
@@ -127,8 +124,8 @@ fn distances(
     let (deg, top_deg) = curve(&|a, b| a.rotation.angle_to(&b.rotation).to_degrees());
     let panel = |title: &str, unit: &str, series, top| Panel {
         title: title.into(),
-        x: Axis { name: "time [s]".into(), range: [0.0, seconds], log: false },
-        y: Axis { name: format!("error [{unit}]"), range: [0.0, top], log: false },
+        x: Axis::new("time [s]", [0.0, seconds], false),
+        y: Axis::new(format!("error [{unit}]"), [0.0, top], false),
         series,
     };
     let sheet = Sheet { title: "Distance from the truth", size: (1120, 460), grid: (1, 2) };

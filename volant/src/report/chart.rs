@@ -70,8 +70,14 @@ pub struct Series {
 
 impl Series {
     /// A series without whiskers.
-    pub fn new(name: &str, color: RGBColor, shape: Shape, points: Vec<(f64, f64)>) -> Self {
-        Self { name: name.to_owned(), color, shape, points, spread: vec![] }
+    pub fn new(
+        name: impl Into<String>,
+        color: RGBColor,
+        shape: Shape,
+        points: impl IntoIterator<Item = (f64, f64)>,
+    ) -> Self {
+        let points = points.into_iter().collect();
+        Self { name: name.into(), color, shape, points, spread: vec![] }
     }
 }
 
@@ -84,6 +90,13 @@ pub struct Axis {
     pub range: [f64; 2],
     /// Whether the scale is logarithmic.
     pub log: bool,
+}
+
+impl Axis {
+    /// Creates an axis.
+    pub fn new(name: impl Into<String>, range: [f64; 2], log: bool) -> Self {
+        Self { name: name.into(), range, log }
+    }
 }
 
 /// One chart of a sheet.
@@ -287,7 +300,6 @@ mod tests {
 
     #[test]
     fn every_series_is_drawn_and_named_once_and_a_gap_stays_a_gap() {
-        let axis = |name: &str, range, log| Axis { name: name.into(), range, log };
         let series = |name: &str, shape| Series {
             name: name.into(),
             color: colors::FUSED,
@@ -297,8 +309,8 @@ mod tests {
         };
         let panel = |log| Panel {
             title: "a panel".into(),
-            x: axis("angle [deg]", [0.0, 4.0], false),
-            y: axis("error [mm]", [0.01, 10.0], log),
+            x: Axis::new("angle [deg]", [0.0, 4.0], false),
+            y: Axis::new("error [mm]", [0.01, 10.0], log),
             series: vec![
                 series("ours", Shape::Whiskers(2)),
                 series("theirs", Shape::Dotted),

@@ -78,20 +78,19 @@ pub fn six_curves(run: &Run<'_>, curves: &[Curve<'_>]) -> Result<String, ChartEr
         let range = [low - margin, high + margin];
         let mut series = Vec::new();
         if !run.shaded.is_empty() {
-            let spans = run.shaded.iter().map(|[from, to]| (*from, *to)).collect();
+            let spans = run.shaded.iter().map(|[from, to]| (*from, *to));
             series.push(Series::new("a marker is covered", colors::SHADE, Shape::Spans, spans));
         }
         series.extend(curves.iter().map(|curve| {
             let shape = if curve.width == 0 { Shape::Dots } else { Shape::Line(curve.width) };
             Series::new(curve.name, curve.color, shape, points(run, curve, axis, range))
         }));
-        let exact = truth.iter().map(|(t, v)| (*t, v[axis])).collect();
+        let exact = truth.iter().map(|(t, v)| (*t, v[axis]));
         series.push(Series::new("truth", colors::TRUTH, Shape::Line(1), exact));
-        let name = format!("{} [{}]", AXES[axis], UNITS[axis]);
         Panel {
             title: String::new(),
-            x: Axis { name: "time [s]".into(), range: [0.0, run.seconds], log: false },
-            y: Axis { name, range, log: false },
+            x: Axis::new("time [s]", [0.0, run.seconds], false),
+            y: Axis::new(format!("{} [{}]", AXES[axis], UNITS[axis]), range, false),
             series,
         }
     });

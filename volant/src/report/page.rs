@@ -87,6 +87,13 @@ pub struct Table {
 }
 
 impl Table {
+    /// Creates a table without best cells; the titles in `head` are separated by ` | `.
+    pub fn new<R: Into<Vec<String>>>(head: &str, rows: impl IntoIterator<Item = R>) -> Self {
+        let mut table = Self { head: head.split(" | ").map(str::to_owned).collect(), rows: vec![] };
+        rows.into_iter().for_each(|row| table.push(row.into()));
+        table
+    }
+
     /// Converts CSV; numbers are rounded to `digits` decimals. `best` marks the smallest number of
     /// each row.
     pub fn from_csv(csv: &str, digits: usize, best: bool) -> Self {
@@ -137,6 +144,14 @@ impl Table {
         }
         text
     }
+
+    /// Formats the table as Markdown.
+    pub fn to_markdown(&self) -> String {
+        let line = |cells: Vec<&str>| format!("| {} |\n", cells.join(" | "));
+        let head = [self.head.iter().map(String::as_str).collect(), vec!["---"; self.head.len()]];
+        let rows = self.rows.iter().map(|row| row.iter().map(|(cell, _)| cell.as_str()).collect());
+        head.into_iter().chain(rows).map(line).collect()
+    }
 }
 
 /// Splits a line of CSV into cells; quoted cells may hold commas.
@@ -167,13 +182,11 @@ pub struct Section {
 /// Page.
 #[derive(Clone, Debug, Default)]
 pub struct Page {
-    /// Line above the title.
-    pub over: String,
     /// Title.
     pub title: String,
     /// Paragraph below the title.
     pub lead: String,
-    /// Facts needed to reproduce the page: name and value.
+    /// Facts needed to reproduce the page, beside the version: name and value.
     pub facts: Vec<(String, String)>,
     /// Sections.
     pub sections: Vec<Section>,
@@ -190,19 +203,18 @@ impl Page {
              <link rel=\"icon\" \
              href=\"data:,\">\n<title>{0}</title>\n<style>\n{STYLE}{1}\n</style>\n</head>\n\
              <body>\n<main>\n\
-             <header>\n<p class=\"over\">{2}</p>\n<h1>{0}</h1>\n<p class=\"lead\">{3}</p>\n",
+             <header>\n<p class=\"over\">Volant: pose of a robot that hangs from a ceiling \
+             crane</p>\n<h1>{0}</h1>\n<p class=\"lead\">{2}</p>\n\
+             <dl>\n<dt>Made by</dt><dd>volant {3}</dd>\n",
             escape(&self.title),
             palette::style(),
-            escape(&self.over),
             escape(&self.lead),
+            env!("CARGO_PKG_VERSION"),
         );
-        if !self.facts.is_empty() {
-            html.push_str("<dl>\n");
-            for (name, value) in &self.facts {
-                let _ = writeln!(html, "<dt>{}</dt><dd>{}</dd>", escape(name), marked(value));
-            }
-            html.push_str("</dl>\n");
+        for (name, value) in &self.facts {
+            let _ = writeln!(html, "<dt>{}</dt><dd>{}</dd>", escape(name), marked(value));
         }
+        html.push_str("</dl>\n");
         if self.sections.len() > 1 {
             html.push_str("<nav aria-label=\"Contents\"><ol>\n");
             for s in &self.sections {
@@ -285,6 +297,10 @@ mod tests {
         );
         assert_eq!(table.rows[1][0].0, "y, z");
         assert_eq!(table.rows[1][1], (String::new(), false));
+        assert_eq!(
+            Table::new("axis | a", [["x".to_owned(), "0.12".to_owned()]]).to_markdown(),
+            "| axis | a |\n| --- | --- |\n| x | 0.12 |\n"
+        );
         let svg = palette::finished(
             "<svg width=\"9\" height=\"4\" xmlns=\"http://www.w3.org/2000/svg\"><g/></svg>",
             "n",

@@ -4,10 +4,8 @@
 use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
 use node_kit::outln;
-use std::{
-    fmt::Write,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
+use volant::report::Table;
 use volant_test::{
     check::{Bench, FAULTS},
     report::TableFile,
@@ -64,11 +62,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
         bail!("no recording whose name contains `{}`", arguments.only);
     }
     let (mut right, mut count) = (0, 0);
-    let mut text = String::from("| fault |");
-    for bench in &benches {
-        let _ = write!(text, " {} |", bench.name());
-    }
-    let _ = write!(text, " nodes |\n| --- |{} --- |\n| none |", " --- |".repeat(benches.len()));
+    let names: Vec<&str> = benches.iter().map(Bench::name).collect();
+    let (mut rows, mut row) = (vec![], vec!["none".to_owned()]);
     let (mut alarms, mut unchanged_warned) = (0, 0);
     for bench in &benches {
         let findings: Vec<&str> = bench.clean().findings.iter().map(|f| f.text.as_str()).collect();
@@ -78,13 +73,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
         if !running.is_empty() {
             outln!("{}: false warning: {}", bench.name(), running.join("; "))?;
         }
-        let _ = write!(
-            text,
-            " {} |",
-            if findings.is_empty() { "ok".into() } else { findings.join("; ") }
-        );
+        row.push(if findings.is_empty() { "ok".into() } else { findings.join("; ") });
     }
-    let _ = writeln!(text, " {unchanged_warned} |");
+    row.push(unchanged_warned.to_string());
+    rows.push(row);
     if arguments.verbose {
         for bench in &benches {
             for row in &bench.clean().rows {
@@ -102,14 +94,14 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
         }
     }
     for fault in faults {
-        let _ = write!(text, "| {} |", fault.name);
+        let mut row = vec![fault.name.to_owned()];
         let mut warned = 0;
         for bench in &benches {
             let cell = bench.cell(fault);
             count += 1;
             right += usize::from(cell.right);
             let mark = if cell.right { "" } else { "**" };
-            let _ = write!(text, " {mark}{}{mark} |", cell.text);
+            row.push(format!("{mark}{}{mark}", cell.text));
             if arguments.verbose || !cell.right {
                 let said = cell.sentences.join("; ");
                 outln!("{}: {}: {} [{said}]", bench.name(), fault.name, cell.text)?;
@@ -120,7 +112,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
                 outln!("{}: {}: nodes: {}", bench.name(), fault.name, running.join("; "))?;
             }
         }
-        let _ = writeln!(text, " {warned} |");
+        row.push(warned.to_string());
+        rows.push(row);
     }
     let mut false_alarms = vec![];
     for seed in 101..101 + arguments.clean {
@@ -133,10 +126,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
         }
     }
     let share = right as f64 / f64::max(f64::from(count), 1.0);
-    let _ = write!(
-        text,
-        "\nRight: {right} of {count} ({:.1} %). Findings in unchanged recordings: {alarms} of {}, \
-         in {} unchanged simulated runs of other seeds: {}.\n",
+    let text = format!(
+        "{}\nRight: {right} of {count} ({:.1} %). Findings in unchanged recordings: {alarms} of \
+         {}, in {} unchanged simulated runs of other seeds: {}.\n",
+        Table::new(&format!("fault | {} | nodes", names.join(" | ")), rows).to_markdown(),
         100.0 * share,
         benches.len(),
         arguments.clean,
@@ -145,8 +138,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
     for alarm in &false_alarms {
         outln!("false alarm: {alarm}")?;
     }
-    arguments.table.write(HEAD, &text)?;
-    outln!("{text}")?;
+    arguments.table.publish(HEAD, &text)?;
     Ok(share >= RIGHT && false_alarms.is_empty() && alarms + unchanged_warned == 0)
 }
 

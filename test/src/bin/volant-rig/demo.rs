@@ -206,13 +206,9 @@ fn demo_page(
     }
     row("3-D [mm]".into(), &|e| e.position_rmse);
     row("angle [deg]".into(), &|e| e.rotation_rmse);
-    let mut facts = vec![
-        ("Made by".to_owned(), format!("volant {}", env!("CARGO_PKG_VERSION"))),
-        (
-            "Command".to_owned(),
-            format!("`volant demo --seed {} --seconds {}`", arguments.seed, arguments.seconds),
-        ),
-    ];
+    let (seed, seconds) = (arguments.seed, arguments.seconds);
+    let command = format!("`volant demo --seed {seed} --seconds {seconds}`");
+    let mut facts = vec![("Command".to_owned(), command)];
     facts.extend(numbers.iter().cloned());
     let words = "Position in millimeters and rotation in degrees, against the truth (thin line). \
                  What leaves a panel has left the \
@@ -220,7 +216,6 @@ fn demo_page(
                  The camera alone is shown \
                  where one image determines a pose.";
     Page {
-        over: "Volant: pose of a robot that hangs from a ceiling crane".into(),
         title: "A live run on the simulated rig".into(),
         lead: "Four nodes as processes of their own, live over DDS: marker_tracker, imu_driver, \
                climber_driver and pose_fusion. \

@@ -3,13 +3,12 @@
 
 use anyhow::{Result, ensure};
 use clap::Args;
-use node_kit::environment::Network;
-use node_kit::{errln, outln};
+use node_kit::{environment::Network, errln};
 use std::{path::PathBuf, sync::Arc};
 use volant_test::{
-    faults::{LENGTH, markdown, table},
+    faults::{COLUMNS, LENGTH, table},
     live::{ImageSequence, Scenario},
-    report::TableFile,
+    report::{LiveTable, TableFile},
     run_folder::RunFolder,
 };
 
@@ -59,26 +58,13 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
     errln!("rendering the camera's images of {LENGTH} s for {} rows", rows.len());
     let images = Arc::new(ImageSequence::of(&scenario)?);
     let network = Network { domain_id: arguments.domain, ..Network::from_environment()? };
-    let (mut outcomes, mut held) = (Vec::new(), 0);
+    let mut results = LiveTable::new(COLUMNS);
     for (i, (row, folder)) in rows.iter().zip(&folders).enumerate() {
         let folder = folder.path();
         let bag = arguments.bags.then(|| folder.join("bag"));
         let outcome = row.run(&scenario, &images, &network, folder, bag.as_deref());
-        let outcome = outcome.map_err(|error| error.to_string());
-        let verdict = match &outcome {
-            Err(reason) => format!("SKIPPED: {reason}"),
-            Ok(o) if o.failures.is_empty() => {
-                held += 1;
-                "holds".to_owned()
-            }
-            Ok(o) => format!("FAILS: {}", o.failures.join("; ")),
-        };
+        let verdict = results.add(row.fault, outcome);
         errln!("[{:2}/{}] {}: {verdict}", i + 1, rows.len(), row.fault);
-        outcomes.push((row.fault, outcome));
     }
-    let text = markdown(&outcomes);
-    arguments.table.write(HEAD, &text)?;
-    outln!("{text}")?;
-    outln!("{held} of {} rows hold", rows.len())?;
-    Ok(held == rows.len())
+    results.finish(&arguments.table, HEAD)
 }

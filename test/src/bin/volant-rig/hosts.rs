@@ -3,15 +3,14 @@
 
 use anyhow::{Result, ensure};
 use clap::Args;
-use node_kit::environment::Network;
-use node_kit::{errln, outln};
+use node_kit::{environment::Network, errln};
 use std::path::PathBuf;
 use volant_test::{
     hosts::{
         Hosts,
-        trial::{COMPARED, LENGTH, Place, Swing, markdown, trials},
+        trial::{COLUMNS, COMPARED, LENGTH, Place, Swing, trials},
     },
-    report::TableFile,
+    report::{LiveTable, TableFile},
     run_folder::RunFolder,
 };
 
@@ -70,25 +69,12 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
         .map(|i| Swing::new(arguments.seed.wrapping_add(i)))
         .collect::<Result<Vec<_>>>()?;
     let network = Network::from_environment()?;
-    let (mut rows, mut held, mut clean) = (Vec::new(), 0, None);
+    let (mut results, mut clean) = (LiveTable::new(COLUMNS), None);
     for ((_, trial), folder) in trials.into_iter().zip(&folders) {
         let place = Place { hosts: &hosts, network: &network, folder: folder.path().to_owned() };
-        let seen = trial.run(&swings, &place, clean).map_err(|error| error.to_string());
+        let seen = trial.run(&swings, &place, clean);
         clean = clean.or(seen.as_ref().ok().map(|s| s.position));
-        let verdict = match &seen {
-            Err(reason) => format!("SKIPPED: {reason}"),
-            Ok(s) if s.failures.is_empty() => {
-                held += 1;
-                format!("holds ({:.2} mm)", s.position)
-            }
-            Ok(s) => format!("FAILS ({:.2} mm): {}", s.position, s.failures.join("; ")),
-        };
-        errln!("{}: {verdict}", trial.name);
-        rows.push((trial.name, seen));
+        errln!("{}: {}", trial.name, results.add(trial.name, seen));
     }
-    let text = markdown(&rows);
-    arguments.table.write(HEAD, &text)?;
-    outln!("{text}")?;
-    outln!("{held} of {} rows hold", rows.len())?;
-    Ok(held == rows.len())
+    results.finish(&arguments.table, HEAD)
 }

@@ -226,7 +226,6 @@ fn conclude(arguments: &Arguments, mut results: Results) -> Result<()> {
     let words: Vec<String> =
         std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()).collect();
     let facts = [
-        ("Made by", format!("volant {}", env!("CARGO_PKG_VERSION"))),
         ("Command", format!("`volant {}`", words.join(" "))),
         ("Seed", arguments.seed.to_string()),
         ("Machine", machine()),

@@ -2,7 +2,7 @@
 
 use anyhow::{Result, ensure};
 use clap::Args;
-use node_kit::{errln, outln};
+use node_kit::errln;
 use std::path::PathBuf;
 use volant_test::{
     hosts::{
@@ -63,8 +63,5 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
         rigs: arguments.rigs.into(),
         seed: arguments.seed,
     };
-    let text = markdown(&trial.run()?);
-    arguments.table.write(HEAD, &text)?;
-    outln!("{text}")?;
-    Ok(())
+    arguments.table.publish(HEAD, &markdown(&trial.run()?))
 }

@@ -5,7 +5,7 @@ use clap::Args;
 use node_kit::environment::Network;
 use node_kit::{errln, outln};
 use std::{path::PathBuf, sync::Arc};
-use volant::command_line::number;
+use volant::{command_line::number, report::Table};
 use volant_test::{
     live::{ImageSequence, Scenario},
     run_folder::RunFolder,
@@ -52,29 +52,23 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
         }
     })?;
     outln!("{} faults; {}", seen.faults.len(), line(&seen))?;
-    outln!(
-        "\n| node | process | minutes | MB after the first minute | MB at the end | growth, MB | \
-         since a minute after the last kill | threads |"
-    )?;
-    outln!("| --- | --- | --- | --- | --- | --- | --- | --- |")?;
-    for instance in seen.instances.iter() {
-        let settled =
-            instance.settled.map_or("–".to_owned(), |b| format!("{:.2}", b as f64 / 1e6));
-        let change = |bytes: Option<i64>| {
-            bytes.map_or("–".to_owned(), |b| format!("{:+.2}", b as f64 / 1e6))
-        };
-        let (growth, undisturbed) =
-            (change(instance.growth()), change(instance.undisturbed_growth()));
-        outln!(
-            "| {} | {} | {:.1} | {settled} | {:.2} | {growth} | {undisturbed} | {} |",
-            instance.node,
-            instance.id,
-            (instance.until - instance.since) / 60.0,
-            instance.last as f64 / 1e6,
-            instance.threads[1]
-        )?;
-    }
-    outln!()?;
+    let change =
+        |bytes: Option<i64>| bytes.map_or("–".to_owned(), |b| format!("{:+.2}", b as f64 / 1e6));
+    let rows = seen.instances.iter().map(|instance| {
+        [
+            instance.node.clone(),
+            instance.id.to_string(),
+            format!("{:.1}", (instance.until - instance.since) / 60.0),
+            instance.settled.map_or("–".to_owned(), |b| format!("{:.2}", b as f64 / 1e6)),
+            format!("{:.2}", instance.last as f64 / 1e6),
+            change(instance.growth()),
+            change(instance.undisturbed_growth()),
+            instance.threads[1].to_string(),
+        ]
+    });
+    let head = "node | process | minutes | MB after the first minute | MB at the end | \
+                growth, MB | since a minute after the last kill | threads";
+    outln!("\n{}", Table::new(head, rows).to_markdown())?;
     let lap = scenario.duration();
     for c in &seen.contradictions {
         let [from, to] = c.seconds;

@@ -1,10 +1,10 @@
 //! Figs. 2 and 7: pose from chessboards and from four markers.
 
 use super::{Csv, distinct, label, rounded_up};
-use crate::paper::{Made, Value, axis, table};
+use crate::paper::{Made, Value};
 use anyhow::Result;
 use std::path::Path;
-use volant::report::{Panel, Series, Shape, Sheet, panels};
+use volant::report::{Axis, Panel, Series, Shape, Sheet, Table, panels};
 
 /// Figs. 2 and 7: `which` is the one.
 pub fn boards(which: &'static str, folder: &Path) -> Result<Made> {
@@ -38,8 +38,8 @@ pub fn boards(which: &'static str, folder: &Path) -> Result<Made> {
         let top = rounded_up(ends.fold(0.0, f64::max));
         Panel {
             title: format!("{what}, mean and deviation"),
-            x: axis("viewing angle [deg]", [-2.0, 62.0], false),
-            y: axis(format!("error [{unit}]"), [0.0, top], false),
+            x: Axis::new("viewing angle [deg]", [-2.0, 62.0], false),
+            y: Axis::new(format!("error [{unit}]"), [0.0, top], false),
             series: series(values, spread),
         }
     };
@@ -118,7 +118,7 @@ pub fn boards(which: &'static str, folder: &Path) -> Result<Made> {
         title,
         csv: csv.text,
         svg,
-        table: Some(table(["from", "found", "mean [mm]", "mean [deg]"], rows)),
+        table: Some(Table::new("from | found | mean [mm] | mean [deg]", rows)),
         values,
         shows: shows.to_owned(),
         published: published.to_owned(),

@@ -2,12 +2,12 @@
 
 use super::{Csv, label, named, rounded_up};
 use crate::paper::{
-    Made, Value, axis,
+    Made, Value,
     bars::{Bars, draw_bars},
 };
 use anyhow::Result;
 use std::path::Path;
-use volant::report::{Color, Table};
+use volant::report::{Axis, Color, Table};
 
 pub fn figure_12(folder: &Path) -> Result<Made> {
     let csv = Csv::read(folder.join("fig-12.csv"))?;
@@ -19,7 +19,7 @@ pub fn figure_12(folder: &Path) -> Result<Made> {
     let panel = |what: &str, means: &[f64], spread: &[f64]| {
         let ends = means.iter().zip(spread).map(|(m, s)| m + s).filter(|v| v.is_finite());
         Bars {
-            axis: axis(
+            axis: Axis::new(
                 format!("{what}: bar mean, whisker ± deviation"),
                 [0.0, rounded_up(ends.fold(0.0, f64::max))],
                 false,

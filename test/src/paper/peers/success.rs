@@ -1,10 +1,10 @@
 //! Fig. 11: share of poses within 5 mm and 1°, by method.
 
 use super::{Csv, distinct, label};
-use crate::paper::{Made, Value, axis, series, table};
+use crate::paper::{Made, Value};
 use anyhow::Result;
 use std::path::Path;
-use volant::report::{Panel, Shape, Sheet, panels};
+use volant::report::{Axis, Panel, Series, Shape, Sheet, Table, panels};
 
 pub fn figure_11(folder: &Path) -> Result<Made> {
     let csv = Csv::read(folder.join("fig-11.csv"))?;
@@ -13,8 +13,8 @@ pub fn figure_11(folder: &Path) -> Result<Made> {
     let names = distinct(&methods);
     let panel = |which: &str, title: &str, name: &str, range: [f64; 2]| Panel {
         title: title.into(),
-        x: axis(name, range, false),
-        y: axis("success [%]", [-4.0, 104.0], false),
+        x: Axis::new(name, range, false),
+        y: Axis::new("success [%]", [-4.0, 104.0], false),
         series: names
             .iter()
             .enumerate()
@@ -25,7 +25,7 @@ pub fn figure_11(folder: &Path) -> Result<Made> {
                 let points = (0..methods.len())
                     .filter(|i| methods[*i] == *m && sweep[*i] == which)
                     .map(|i| (value[i], 100.0 * success[i] + apart));
-                series(shown, color, Shape::Dotted, points)
+                Series::new(shown, color, Shape::Dotted, points)
             })
             .collect(),
     };
@@ -54,7 +54,7 @@ pub fn figure_11(folder: &Path) -> Result<Made> {
         let cell = |w: Option<&str>| format!("{:.1} %", mean(m, w));
         [label(m).0, cell(Some("angle_deg")), cell(Some("distance_m")), cell(None)]
     });
-    let table = table(["method", "over the angle", "over the distance", "all"], rows);
+    let table = Table::new("method | over the angle | over the distance | all", rows);
     let mut beaten: Vec<String> = Vec::new();
     for i in (0..methods.len()).filter(|i| methods[*i] == names[0]) {
         let best = (0..methods.len())

@@ -2,12 +2,12 @@
 
 use super::{Csv, named};
 use crate::paper::{
-    Made, Value, axis,
+    Made, Value,
     bars::{Bars, decades, draw_bars},
 };
 use anyhow::Result;
 use std::path::Path;
-use volant::report::{Color, Table, colors};
+use volant::report::{Axis, Color, Table, colors};
 
 /// Cell of a stage whose time is part of that row.
 const SHARED: &str = "in one pass, below";
@@ -28,7 +28,7 @@ pub fn table_1(folder: &Path) -> Result<Made> {
         .iter()
         .zip(&values)
         .map(|(name, times)| Bars {
-            axis: axis(format!("{name} [ms]"), range, true),
+            axis: Axis::new(format!("{name} [ms]"), range, true),
             values: times.clone(),
             spread: Vec::new(),
         })

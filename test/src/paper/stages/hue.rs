@@ -1,12 +1,12 @@
 //! Fig. 5: hue histograms of the markers.
 
 use super::{Shot, Stages, chart_color};
-use crate::paper::{Made, Value, axis, series, table};
+use crate::paper::{Made, Value};
 use anyhow::Result;
 use marker_tracker::hue;
 use rig_model::{MarkerColor, PerColor};
 use std::fmt::Write;
-use volant::report::{Panel, Shape, Sheet, colors, panels};
+use volant::report::{Axis, Panel, Series, Shape, Sheet, Table, colors, panels};
 
 const TITLE: &str = "Fig. 5: hue histograms of the markers";
 /// Where the default tracker searches.
@@ -40,13 +40,13 @@ impl Stages {
                 format!("{:.0} %", 100.0 * near(&around)),
             ]
         });
-        let head = ["marker", "peak [deg]", "share within 30 deg of it", "rest of the image there"];
+        let head = "marker | peak [deg] | share within 30 deg of it | rest of the image there";
         Ok(Made {
             name: "fig-5",
             title: TITLE,
             csv,
             svg: draw_5(&estimated, &around)?,
-            table: Some(table(head, rows)),
+            table: Some(Table::new(head, rows)),
             values: vec![
                 Value::new("search window around the previous center", "at least 25 px", WINDOW),
                 Value::new("bins of a histogram", "–", bins.to_string()),
@@ -97,14 +97,14 @@ fn draw_5(estimated: &PerColor<Vec<f32>>, around: &[f32]) -> Result<String> {
     let line = |name: &str, color, width, h: &[f32]| {
         let hue = |k: usize| (k as f64 + 0.5) * 360.0 / h.len() as f64;
         let points = h.iter().enumerate().map(|(k, v)| (hue(k), f64::from(*v)));
-        series(name, color, Shape::Line(width), points)
+        Series::new(name, color, Shape::Line(width), points)
     };
     let drawn: Vec<Panel> = estimated
         .iter()
         .map(|(color, h)| Panel {
             title: String::new(),
-            x: axis("hue [deg]", [0.0, 360.0], false),
-            y: axis("share", [0.0, f64::from((most * 10.0).ceil() / 10.0)], false),
+            x: Axis::new("hue [deg]", [0.0, 360.0], false),
+            y: Axis::new("share", [0.0, f64::from((most * 10.0).ceil() / 10.0)], false),
             series: vec![
                 line(color.name(), chart_color(color), 4, h),
                 line("rest of the image", colors::INK, 1, around),

@@ -16,13 +16,12 @@ pub fn page(rig: &Path, state: &State) -> Page {
         let outcome = record.map_or("not done", |r| r.outcome.word());
         let mut blocks = vec![];
         if let Some(record) = record {
-            let head = ["", "item", "result"].map(str::to_owned).to_vec();
-            let rows = record.items.iter().map(|item| {
-                let cells = [item.verdict.word().to_owned(), item.name.clone(), item.text.clone()];
-                cells.map(|cell| (cell, false)).to_vec()
-            });
+            let rows = record
+                .items
+                .iter()
+                .map(|item| [item.verdict.word().to_owned(), item.name.clone(), item.text.clone()]);
             if !record.items.is_empty() {
-                blocks.push(Block::Table(Table { head, rows: rows.collect() }));
+                blocks.push(Block::Table(Table::new(" | item | result", rows)));
             }
             for wrote in &record.wrote {
                 blocks.push(Block::labelled("Written:", wrote.clone()));
@@ -31,10 +30,7 @@ pub fn page(rig: &Path, state: &State) -> Page {
         Section { title: format!("{}. {name}: {outcome}", i + 1), id: name, blocks }
     });
     let recordings = state.recordings.iter();
-    let mut facts = vec![
-        ("Made by".to_owned(), format!("volant {}", env!("CARGO_PKG_VERSION"))),
-        ("Rig file".to_owned(), rig.display().to_string()),
-    ];
+    let mut facts = vec![("Rig file".to_owned(), rig.display().to_string())];
     facts.extend(
         recordings.map(|(name, path)| (format!("Recording {name}"), path.display().to_string())),
     );
@@ -42,7 +38,6 @@ pub fn page(rig: &Path, state: &State) -> Page {
     let accepted = state.steps.get(&Step::Acceptance.name());
     let accepted = accepted.is_some_and(|r| r.outcome == Outcome::Done) && !failed;
     Page {
-        over: "Volant: pose of a robot that hangs from a ceiling crane".into(),
         title: format!("Bring-up: {}", if accepted { "accepted" } else { "not accepted" }),
         lead: "Each step with what it checked and what it wrote.".into(),
         facts,

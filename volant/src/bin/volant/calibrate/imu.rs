@@ -128,21 +128,21 @@ fn figure(noise: &ImuNoise) -> Result<String> {
             .iter()
             .zip(curves)
             .map(|((name, color), axis)| {
-                Series::new(name, *color, Shape::Line(2), axis.curve.clone())
+                Series::new(*name, *color, Shape::Line(2), axis.curve.clone())
             })
             .collect();
         let white = |tau: f64| (tau, noise.density(sensor) / tau.sqrt());
-        let line = span.map(white).to_vec();
+        let line = span.map(white);
         let name = "white noise as written to the rig file";
         series.push(Series::new(name, colors::SOFT, Shape::Line(1), line));
         Panel {
             title: sensor.to_string(),
-            x: Axis { name: "averaging time [s]".into(), range: span, log: true },
-            y: Axis {
-                name: format!("Allan deviation [{}]", sensor.unit()),
-                range: [0.8 * least, 1.25 * most],
-                log: true,
-            },
+            x: Axis::new("averaging time [s]", span, true),
+            y: Axis::new(
+                format!("Allan deviation [{}]", sensor.unit()),
+                [0.8 * least, 1.25 * most],
+                true,
+            ),
             series,
         }
     });
