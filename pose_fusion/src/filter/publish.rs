@@ -16,7 +16,9 @@ use crate::{
         largest_sigma,
         odometry::{Settings, odometry},
         prediction::{self, Changes},
-        smoother, swing,
+        smoother,
+        status_timer::StatusTimer,
+        swing,
     },
     timeline::{
         arrival::{JUMP, Source},
@@ -25,9 +27,6 @@ use crate::{
 };
 use rig_model::{PerColor, Rig, Stamp, topics};
 use std::collections::VecDeque;
-
-/// Time between two status messages while there is no pose, s.
-const STATUS_PERIOD: f64 = 0.1;
 
 /// After a silence of the IMU its samples carry the pose from the next image on, or after this
 /// time, s: until then the angular velocity between the last image and the first sample is not
@@ -71,7 +70,7 @@ pub(super) struct Publisher {
     awaited: Option<Stamp>,
     pub(super) last_encoders: Option<Stamp>,
     pub(super) markers_used: u8,
-    last_status: Option<Stamp>,
+    status_timer: StatusTimer,
     silence: Silence,
     archive: Option<Vec<Entry>>,
     out: VecDeque<Output>,
@@ -253,28 +252,36 @@ impl Filter {
         &mut self.publisher.out
     }
 
-    /// Outputs the status at 10 Hz of data time while there is no pose.
-    pub fn publish_status(&mut self) {
-        let Some(now) = self.publisher.now else { return };
-        let since = |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| now.seconds_since(s));
+    /// Returns the status where it is due while there is no odometry.
+    pub fn due_status(&mut self) -> Option<PoseStatus> {
+        let now = self.publisher.now?;
         let started = self.is_started();
         if !started {
             self.publisher.awaited = Some(now);
         }
-        let silent = since(self.publisher.awaited.or(self.publisher.last_published));
-        let due = !(0.0..STATUS_PERIOD).contains(&since(self.publisher.last_status));
-        if !due || (started && silent < SILENT) {
-            return;
+        let due = self.publisher.status_timer.is_due(now);
+        if !due || (started && self.silence(now) < SILENT) {
+            return None;
         }
-        self.publisher.last_status = Some(now);
+        self.publisher.status_timer.note(now);
+        Some(self.pose_status(now))
+    }
+
+    /// Returns the status of a filter that outputs no odometry at an instant of IMU time.
+    fn pose_status(&self, now: Stamp) -> PoseStatus {
         let time_offset = self.time_offset();
-        let status = if started {
-            let reason = format!("no IMU sample and no image with markers for {silent:.1} s");
-            PoseStatus::lost(now, self.ages(now), time_offset, reason)
-        } else {
-            PoseStatus::initializing(now, time_offset, self.missing())
-        };
-        self.publisher.out.push_back(Output::Status(status));
+        if !self.is_started() {
+            return PoseStatus::initializing(now, time_offset, self.missing());
+        }
+        let silence = self.silence(now);
+        let reason = format!("no IMU sample and no image with markers for {silence:.1} s");
+        PoseStatus::lost(now, self.ages(now), time_offset, reason)
+    }
+
+    /// Returns the time since the newest odometry, or since there was no pose, s.
+    fn silence(&self, now: Stamp) -> f64 {
+        let last_output = self.publisher.awaited.or(self.publisher.last_published);
+        last_output.map_or(f64::INFINITY, |last| now.seconds_since(last))
     }
 
     /// Ages of the newest used image, IMU sample and used encoder reading at an instant, s.
@@ -294,10 +301,12 @@ impl Filter {
         [camera, imu, climber].into_iter().flatten().collect()
     }
 
-    /// Returns what the initialization waits for.
+    /// Returns what the initialization waits for; empty where there is a pose.
     pub fn missing(&self) -> String {
         let missing = self.absent();
-        if !missing.is_empty() {
+        if self.is_started() {
+            String::new()
+        } else if !missing.is_empty() {
             format!("no message on {}", missing.join(", "))
         } else if self.setup.frozen {
             "markers are not used: call ~/freeze with false, or ~/reset".to_owned()

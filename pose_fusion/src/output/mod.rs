@@ -7,6 +7,7 @@ pub mod odometry;
 pub mod prediction;
 pub mod rate_limit;
 pub mod smoother;
+pub mod status_timer;
 pub mod swing;
 mod warning;
 
