@@ -1,6 +1,6 @@
 //! Inputs of the filter: each message is checked and put in its place on the time line.
 
-use super::{Filter, processing::OFFSET_KNOWN};
+use super::{Filter, processing::OFFSET_DOUBTED};
 use crate::{
     adaptation::{imu_integrity::ImuIntegrity, stamp_jitter},
     ekf::{propagation::ImuReading, state::ATTITUDE},
@@ -11,7 +11,7 @@ use crate::{
     output::Warning,
     timeline::{
         arrival::{AHEAD, ImuArrival, JUMP, Source},
-        dropout::{GAP, INTERPOLATED},
+        dropout::{BRIDGED, GAP},
         history::{CAPACITY, Entry, Event},
     },
 };
@@ -135,18 +135,18 @@ impl Filter {
             self.publisher.counts.inputs.imu_gaps += 1;
             self.publisher.warn(Warning::ImuGap { from, to: sample.stamp });
             self.imu.interrupt();
-            if let (Some(search), true) = (&mut self.search, seconds > INTERPOLATED) {
+            if let (Some(search), true) = (&mut self.search, seconds > BRIDGED) {
                 search.clear();
             }
             let covered = self.publisher.markers_used == 4
                 && (self.arrival.end())
-                    .is_some_and(|end| sample.stamp.seconds_since(end) < INTERPOLATED);
+                    .is_some_and(|end| sample.stamp.seconds_since(end) < BRIDGED);
             // What neither samples nor images with four markers have followed is not bridged where
             // an image can reinitialize the pose (three markers may have followed the mirrored
             // tilt; a frozen filter uses none), and an attitude that is hardly known is no point
             // to linearize at.
             let unknown = self.state().is_some_and(|s| s.sigmas(ATTITUDE).max() > LARGEST_ATTITUDE);
-            let unfollowed = seconds > INTERPOLATED && !covered && self.start.markers_seen >= 3;
+            let unfollowed = seconds > BRIDGED && !covered && self.start.markers_seen >= 3;
             if self.is_started() && !self.setup.frozen && (unfollowed || unknown) {
                 self.restart();
                 dt = None;
@@ -162,7 +162,7 @@ impl Filter {
         self.publisher.note_now(sample.stamp);
         // While the time offset is not known, images contradict the samples, and an image that was
         // first processed without them is not judged again.
-        if self.offset_doubt() <= OFFSET_KNOWN {
+        if self.offset_doubt() <= OFFSET_DOUBTED {
             self.interpolate_again(place);
         }
         self.arrival.imu(sample.stamp, reading);

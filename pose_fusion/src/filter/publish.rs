@@ -174,7 +174,7 @@ impl Filter {
         }
         let (state, reading) = (&entry.state, &entry.reading);
         let silent = self.arrival.is_imu_silent();
-        let image = self.lock_out.last_used.map(|image| image.plus_seconds(state.time_offset));
+        let image = self.monitor.last_used.map(|image| image.plus_seconds(state.time_offset));
         if self.publisher.silence.imu_lost && !silent {
             let resumed = *self.publisher.silence.resumed.get_or_insert(end);
             let followed = image.is_some_and(|image| image >= resumed);
@@ -202,7 +202,7 @@ impl Filter {
         .judged(
             &self.setup.status,
             silent,
-            self.lock_out.is_contradicted(end.plus_seconds(-state.time_offset)),
+            self.monitor.is_contradicted(end.plus_seconds(-state.time_offset)),
         );
         let horizon = self.setup.config.prediction_horizon;
         let earlier = end.plus_seconds(-horizon);
@@ -234,7 +234,7 @@ impl Filter {
         self.publisher.silence.resumed = None;
         let lost = status.state == PoseState::Lost;
         // Between the first image and the second the velocity is not known yet.
-        let second_due = self.lock_out.last_used == self.lock_out.initialized_at
+        let second_due = self.monitor.last_used == self.monitor.initialized_at
             && status.image_age < SECOND_IMAGE;
         if lost && !second_due && !self.publisher.silence.pose_lost {
             let reason = status.reason.clone();
@@ -287,7 +287,7 @@ impl Filter {
     /// Ages of the newest used image, IMU sample and used encoder reading at an instant, s.
     fn ages(&self, at: Stamp) -> [f64; 3] {
         let offset = self.time_offset();
-        let image = self.lock_out.last_used.map(|image| image.plus_seconds(offset));
+        let image = self.monitor.last_used.map(|image| image.plus_seconds(offset));
         let imu = self.arrival.newest_imu().map(|(stamp, _)| stamp);
         let age = |stamp: Stamp| at.seconds_since(stamp).max(0.0);
         [image, imu, self.publisher.last_encoders].map(|stamp| stamp.map_or(f64::INFINITY, age))

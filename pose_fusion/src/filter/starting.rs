@@ -3,7 +3,7 @@
 
 use super::{Filter, search};
 use crate::{
-    adaptation::excess::PIXEL_NOISE,
+    adaptation::innovation_scale::PIXEL_NOISE,
     ekf::{
         calibration::Calibration,
         propagation::ImuReading,
@@ -30,7 +30,7 @@ use nalgebra::Vector3;
 use rig_model::Stamp;
 
 /// An encoder reading further from the image than this initializes nothing, s.
-const NEAR: f64 = 1.0;
+const READING_NEAR: f64 = 1.0;
 /// Smallest uncertainty of "up" of an estimate whose time offset is unknown, rad, and largest time
 /// to the state that serves an instant, s.
 const ESTIMATED_UP: f64 = 0.05;
@@ -38,7 +38,7 @@ const ESTIMATED_NEAR: f64 = 0.05;
 /// The IMU's own attitude is wrong where another "up" is off by less than this share of it.
 const OWN_WORSE: f64 = 0.5;
 /// Biases known before an outage or recovery are worth half afterwards.
-const REMEMBERED: f64 = 2.0;
+const INFLATION: f64 = 2.0;
 /// Smallest bias sigma after an outage, m/s² and rad/s.
 const BIAS_FLOOR: f64 = 1e-4;
 /// Smallest uncertainty of an initialized time offset, s, and factor on what its alignment claims.
@@ -80,7 +80,7 @@ impl Filter {
         self.arrival.reset();
         self.imu.interrupt();
         self.trust.reset();
-        self.lock_out.clear();
+        self.monitor.clear();
         self.start.awaited = None;
     }
 
@@ -151,7 +151,7 @@ impl Filter {
             return false;
         }
         let Some(at) = self.start.kept_at.take() else { return false };
-        if !(0.0..crate::timeline::dropout::INTERPOLATED).contains(&stamp.seconds_since(at)) {
+        if !(0.0..crate::timeline::dropout::BRIDGED).contains(&stamp.seconds_since(at)) {
             return false;
         }
         let Some(state) = self.start.kept.take() else { return false };
@@ -213,7 +213,7 @@ impl Filter {
             return self.publisher.skip(stamp, pixels, Outcome::Inconsistent);
         };
         self.publisher.record(stamp, &start.record, false);
-        self.lock_out.initialized(stamp);
+        self.monitor.initialized(stamp);
         self.publisher.warn(Warning::Initialized { stamp });
         self.markers.noise.raise(start.noise_factor, &PIXEL_NOISE);
         self.markers.shake.interrupt(stamp, &start.record);
@@ -233,7 +233,7 @@ impl Filter {
         ups: [Option<Up>; 2],
         climber: &ClimberAt,
         known: &Calibration,
-    ) -> Option<from_image::Start> {
+    ) -> Option<from_image::InitialEstimate> {
         let (geometry, config) = (self.setup.geometry.as_ref()?, &self.setup.config);
         let start =
             |up: Option<&Up>| from_image::start(geometry, config, image, up, climber, known);
@@ -257,7 +257,7 @@ impl Filter {
     /// Returns the climber by its encoders at an image, where readings are near and do not leap.
     pub(super) fn climber_at(&self, image: Stamp) -> Option<ClimberAt> {
         let read = image.plus_seconds(-self.setup.config.clock.climber_offset);
-        let climber = self.climber.at(read).filter(|climber| climber.distance <= NEAR);
+        let climber = self.climber.at(read).filter(|climber| climber.distance <= READING_NEAR);
         climber.filter(|_| !self.climber.leaps_near(read))
     }
 
@@ -289,7 +289,7 @@ impl Filter {
             entry.state = state;
         }
         self.history.set_processed(1);
-        self.lock_out.note_start(image);
+        self.monitor.note_start(image);
         self.process();
     }
 
@@ -329,7 +329,7 @@ impl Filter {
         carry_over(&mut state, &old, self.start.searches_again);
         state.climber_acceleration = old.climber_acceleration;
         self.publisher.counts.resets.recoveries += 1;
-        self.lock_out.initialized(stamp);
+        self.monitor.initialized(stamp);
         self.publisher.warn(Warning::LockOutRecovered { since, stamp });
         self.set_state(at, state);
         true
@@ -341,10 +341,10 @@ fn carry_over(state: &mut State, former: &State, offset_doubted: bool) {
     state.accelerometer_bias = former.accelerometer_bias;
     state.gyroscope_bias = former.gyroscope_bias;
     state.time_offset = former.time_offset;
-    let doubt = if offset_doubted { REMEMBERED } else { 1.0 };
+    let doubt = if offset_doubted { INFLATION } else { 1.0 };
     state.set_sigma(TIME_OFFSET, doubt * former.sigma(TIME_OFFSET));
     for first in [ACCELEROMETER_BIAS, GYROSCOPE_BIAS] {
-        let sigmas = former.sigmas(first).map(|sigma| (REMEMBERED * sigma).max(BIAS_FLOOR));
+        let sigmas = former.sigmas(first).map(|sigma| (INFLATION * sigma).max(BIAS_FLOOR));
         state.set_sigmas(first, &sigmas);
     }
 }

@@ -106,7 +106,7 @@ impl Filter {
     /// Whether an alignment since the initialization agrees with a filter that knows its offset.
     fn confirms(&self, stamp: Stamp, found: &TimeOffset) -> bool {
         let independent =
-            self.lock_out.initialized_at.is_some_and(|i| stamp.seconds_since(i) > WINDOW);
+            self.monitor.initialized_at.is_some_and(|i| stamp.seconds_since(i) > WINDOW);
         let known = self.time_offset_sigma().filter(|sigma| *sigma < KNOWN);
         let away = (self.time_offset() - found.offset).abs();
         independent && known.is_some_and(|sigma| away < 2.0 * sigma.hypot(found.sigma))

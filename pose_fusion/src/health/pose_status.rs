@@ -3,8 +3,8 @@
 use crate::config::StatusConfig;
 use rig_model::Stamp;
 
-const MIRRORED: &str = "no IMU sample, and fewer than four markers: they fit two tilts";
-const CONTRADICTED: &str = "images contradict the IMU or the encoders: check units, signs, \
+const MIRRORED_REASON: &str = "no IMU sample, and fewer than four markers: they fit two tilts";
+const CONTRADICTED_REASON: &str = "images contradict the IMU or the encoders: check units, signs, \
                             orientations and frames (`volant check` names the cause)";
 
 /// What carries the pose.
@@ -105,8 +105,8 @@ impl PoseStatus {
             if age.is_finite() { format!("{what} for {age:.2} s") } else { what.to_owned() }
         };
         self.reason = match self.state {
-            _ if contradicted => CONTRADICTED.to_owned(),
-            _ if mirrored => MIRRORED.to_owned(),
+            _ if contradicted => CONTRADICTED_REASON.to_owned(),
+            _ if mirrored => MIRRORED_REASON.to_owned(),
             PoseState::VisionOnly => lasting("no IMU sample", self.imu_age),
             PoseState::Coasting | PoseState::Lost if self.image_age > config.max_image_age => {
                 lasting("no image used", self.image_age)

@@ -3,9 +3,9 @@
 
 use crate::{
     adaptation::{
-        excess::Excess,
         imu_integrity::ImuIntegrity,
         imu_noise::{Densities, ImuNoise},
+        innovation_scale::InnovationScale,
         stationary::Stationary,
     },
     ekf::propagation::ImuReading,
@@ -24,11 +24,11 @@ const KEPT: f64 = 1.5;
 /// … at most one in this time, s: they change slowly against their error.
 const SPACING: f64 = 0.01;
 /// An attitude further from an instant does not serve it, s.
-const NEAR: f64 = 0.1;
+const ATTITUDE_NEAR: f64 = 0.1;
 /// Tilt that a swing hides from the accelerometer, rad (1 sigma).
 pub const SWING_TILT: f64 = 0.15;
 /// The mean specific force over this time around an instant points up but for that, s.
-const MEAN_FORCE: f64 = 0.3;
+const FORCE_AVERAGED: f64 = 0.3;
 /// Its upward part in units of gravity: a swing of 60 degrees is within.
 const GRAVITY: std::ops::Range<f64> = 0.5..2.0;
 
@@ -58,9 +58,9 @@ impl Up {
 
 /// The IMU's own directions of "up" by their instants.
 #[derive(Clone, Debug, Default)]
-pub struct Ups(VecDeque<(Stamp, Up)>);
+pub struct VerticalReferences(VecDeque<(Stamp, Up)>);
 
-impl Ups {
+impl VerticalReferences {
     /// Adds that of a sample that has a usable attitude, with a sigma of at least `floor` rad.
     pub fn add(&mut self, sample: &ImuSample, floor: f64) {
         let Some(up) = up_of(sample, floor) else { return };
@@ -78,7 +78,7 @@ impl Ups {
     pub fn at(&self, stamp: Stamp) -> Option<Up> {
         let distance = |s: &Stamp| (s.as_nanos() - stamp.as_nanos()).unsigned_abs();
         let (at, up) = self.0.iter().min_by_key(|(s, _)| distance(s))?;
-        (at.seconds_since(stamp).abs() < NEAR).then_some(*up)
+        (at.seconds_since(stamp).abs() < ATTITUDE_NEAR).then_some(*up)
     }
 }
 
@@ -94,10 +94,10 @@ pub struct ImuInput {
     /// Noise of the samples.
     pub noise: ImuNoise,
     stationary: Stationary,
-    ups: Ups,
+    ups: VerticalReferences,
     ignores_attitude: bool,
     /// Model error identified from the images.
-    pub model_error: Excess,
+    pub model_error: InnovationScale,
     /// Half the width of the mean that is the motion at an image, s.
     pub smoothing: f64,
     /// The noise was known at some time.
@@ -133,7 +133,7 @@ impl ImuInput {
     /// Ignores the IMU's own attitude from now on.
     pub fn ignore_attitude(&mut self) {
         self.ignores_attitude = true;
-        self.ups = Ups::default();
+        self.ups = VerticalReferences::default();
     }
 
     /// Remembers the IMU's own attitude, where the sample has a usable one.
@@ -194,7 +194,7 @@ impl ImuInput {
 
 /// Mean specific force around an instant, IMU axes, m/s².
 fn mean_force(stamp: Stamp, history: &History) -> Option<Vector3<f64>> {
-    let is_near = |entry: &Entry| entry.stamp.seconds_since(stamp).abs() < MEAN_FORCE;
+    let is_near = |entry: &Entry| entry.stamp.seconds_since(stamp).abs() < FORCE_AVERAGED;
     let near = history.iter().filter(|entry| entry.is_imu() && is_near(entry));
     let (count, sum) = near.fold((0.0, Vector3::zeros()), |(count, sum), entry| {
         (count + 1.0, sum + entry.reading.specific_force)

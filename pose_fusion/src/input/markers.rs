@@ -4,7 +4,7 @@
 use crate::{
     adaptation::{
         camera_shake::CameraShake,
-        excess::{Excess, PIXEL_NOISE},
+        innovation_scale::{InnovationScale, PIXEL_NOISE},
         layout_misfit::LayoutMisfit,
         stamp_jitter::KEPT,
     },
@@ -28,7 +28,7 @@ pub struct MarkerInput {
     /// Stamps of the newest images.
     pub stamps: VecDeque<Stamp>,
     /// Factor on the claimed pixel variance.
-    pub noise: Excess,
+    pub noise: InnovationScale,
     /// Shake of the camera.
     pub shake: CameraShake,
     misfit: LayoutMisfit,

@@ -57,8 +57,8 @@ pub fn world_rates(pose: &Vector6<f64>) -> Matrix3<f64> {
     Matrix3::new(cy * cp, -sy, 0.0, sy * cp, cy, 0.0, -sp, 0.0, 1.0)
 }
 
-/// Returns step K r and covariance (I − K H) P of a Kalman correction; `None` where the innovation's
-/// covariance is not positive definite.
+/// Returns step K r and covariance (I − K H) P of a Kalman correction; `None` where the covariance
+/// of the innovation is not positive definite.
 pub fn correction<const N: usize>(
     covariance: &Matrix6<f64>,
     jacobian: &SMatrix<f64, N, 6>,

@@ -9,7 +9,7 @@
 
 use crate::{
     config::{FusionConfig, Model},
-    input::{climber_track::ClimberTrack, imu::Ups, markers::is_usable},
+    input::{climber_track::ClimberTrack, imu::VerticalReferences, markers::is_usable},
     measurements::geometry::ClimberHeightTilt,
     output::PoseEstimate,
     reference::{marker_measurement::SightLine, published_pose::published_pose},
@@ -22,7 +22,7 @@ use rig_model::{
 };
 
 /// Encoder readings further from the image than this do not serve it, s.
-const NEAR: f64 = 0.1;
+const ENCODERS_NEAR: f64 = 0.1;
 /// Smallest uncertainty of the IMU's own roll and pitch, rad.
 const ATTITUDE_FLOOR: f64 = 1e-3;
 /// Squares of four markers' residuals beside the best pose are expected to sum up to this; beyond
@@ -53,7 +53,7 @@ impl Visual {
 pub struct SingleImagePose {
     rig: Rig,
     camera: Option<CameraModel>,
-    ups: Ups,
+    ups: VerticalReferences,
     climber: ClimberTrack,
     /// `world_from_volant` of the newest visual pose.
     last: Option<(Stamp, Isometry3<f64>)>,
@@ -66,7 +66,7 @@ impl SingleImagePose {
         Self {
             rig,
             camera: None,
-            ups: Ups::default(),
+            ups: VerticalReferences::default(),
             climber: ClimberTrack::new(&config.tight.climber),
             last: None,
             config: config.clone(),
@@ -75,7 +75,7 @@ impl SingleImagePose {
 
     /// Discards everything but the camera.
     pub fn reset(&mut self) {
-        self.ups = Ups::default();
+        self.ups = VerticalReferences::default();
         self.climber = ClimberTrack::new(&self.config.tight.climber);
         self.last = None;
     }
@@ -192,7 +192,7 @@ impl SingleImagePose {
     /// `world_from_climber` at an image's stamp, with the sigmas of place (m) and turn (rad).
     fn climber_at(&self, stamp: Stamp) -> Option<(Isometry3<f64>, [f64; 2])> {
         let read = stamp.plus_seconds(-self.config.tight.clock.climber_offset);
-        let at = self.climber.at(read).filter(|at| at.distance < NEAR)?;
+        let at = self.climber.at(read).filter(|at| at.distance < ENCODERS_NEAR)?;
         let sigma = |axis: usize| at.noise[axis].hypot(at.growth[axis]);
         Some((at.rest.join(&at.values), [sigma(0).max(sigma(1)), sigma(2)]))
     }
