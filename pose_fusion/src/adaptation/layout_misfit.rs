@@ -32,6 +32,8 @@ pub struct LayoutMisfit {
     count: f64,
     /// Images in a row that contradict a confirmed layout.
     contrary: u32,
+    /// Sigma of the markers' places, each axis, m, by images that contradict the layout; until used.
+    pub doubt: Option<f64>,
 }
 
 /// Returns the sigma of the markers' places, each axis, m; `None` for a false marker.
@@ -55,7 +57,7 @@ impl LayoutMisfit {
         let due = if confirmed { self.contrary >= REFUTED } else { self.count >= FEWEST };
         let found = sigma(&self.mean).filter(|sigma| due && lasts && *sigma > MISFIT);
         if found.is_some() {
-            *self = Self::default();
+            *self = Self { doubt: found, ..Self::default() };
         }
         found
     }

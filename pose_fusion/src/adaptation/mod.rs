@@ -3,6 +3,7 @@
 pub mod camera_shake;
 pub mod disturbances;
 pub mod encoder_noise;
+pub mod images;
 pub mod imu_integrity;
 pub mod imu_noise;
 pub mod innovation_scale;

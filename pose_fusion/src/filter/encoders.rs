@@ -153,7 +153,7 @@ impl Filter {
         let suspected = self.suspect_stuck(standing, since, at);
         if suspected {
             self.trust.note_trial(at);
-            self.imu.model_error = Default::default();
+            self.images.model_error = Default::default();
         }
         suspected
     }

@@ -4,7 +4,7 @@ use super::{Filter, processing::OFFSET_DOUBTED};
 use crate::{
     adaptation::{imu_integrity::ImuIntegrity, stamp_jitter},
     ekf::{propagation::ImuReading, state::ATTITUDE},
-    input::{climber_track::ClimberTrack, imu_stamps::Bursts},
+    input::{climber_track::ClimberTrack, imu_stamps::Bursts, markers},
     measurements::{
         Outcome, encoders::EncoderReading, geometry::ClimberHeightTilt, markers::Image,
     },
@@ -153,7 +153,7 @@ impl Filter {
             }
         }
         let mounting = &self.setup.rig.imu;
-        let event = self.imu.event(&reading, dt, mounting);
+        let event = self.imu.event(&reading, dt, mounting, self.images.model_error.factor);
         if let Some(more) = self.imu.newly_known_noise(mounting) {
             self.reweigh_samples(&more);
         }
@@ -230,13 +230,18 @@ impl Filter {
         let stamp = observations.stamp;
         self.publisher.counts.inputs.images += 1;
         let mut unusable = 0;
-        let pixels = self.markers.pixels(observations, &self.setup.config.markers, |warning| {
-            unusable += 1;
-            self.publisher.warn(warning);
-        });
+        let pixels = markers::pixels(
+            observations,
+            &self.setup.config.markers,
+            self.images.pixel_noise.factor,
+            |warning| {
+                unusable += 1;
+                self.publisher.warn(warning);
+            },
+        );
         self.publisher.counts.rejected.markers += unusable;
         self.start.markers_seen = pixels.iter().flatten().count();
-        if self.markers.stamps.contains(&stamp) {
+        if self.images.stamps.contains(&stamp) {
             return self.publisher.reject(Warning::Duplicate { from: Source::Image, stamp });
         }
         self.note_arrival(Source::Image, stamp);
@@ -256,7 +261,7 @@ impl Filter {
             self.publisher.reject(Warning::Ahead { from: Source::Image, stamp, ahead_s });
             return self.publisher.skip(stamp, &pixels, Outcome::Rejected);
         }
-        self.markers.remember(stamp);
+        self.images.remember(stamp);
         self.publisher.note_now(stamp.plus_seconds(self.time_offset()));
         if silent {
             self.follow_without_imu(stamp);
@@ -277,16 +282,16 @@ impl Filter {
         let Some((_, _, rest)) = self.climber.newest().copied() else {
             return self.publisher.skip(stamp, &pixels, Outcome::NotInitialized);
         };
-        let jitter = stamp_jitter::sigma(&self.markers.stamps);
+        let jitter = stamp_jitter::sigma(&self.images.stamps);
         let stamp_sigma = jitter.min(self.setup.config.clock.image_jitter);
-        let layout_doubt = self.markers.layout_doubt.take();
+        let layout_doubt = self.images.layout.doubt.take();
         if let (Some(_), Some(search)) = (layout_doubt, &mut self.search) {
             // The image poses that it has are tilted by the layout's error.
             search.clear();
         }
         let mut image = Image::new(&pixels, time_offset, rest);
         image.stamp_sigma = stamp_sigma as f32;
-        image.shake = self.markers.shake.variance().map(|v| v as f32).into();
+        image.shake = self.images.shake.variance().map(|v| v as f32).into();
         image.layout_doubt = layout_doubt.map(|sigma| sigma as f32);
         let event = Event::Image { image, stamp, fresh: true, apply: !self.setup.frozen };
         self.history.insert(at, event, ImuReading::default());

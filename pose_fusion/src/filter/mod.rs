@@ -13,7 +13,7 @@ mod starting;
 mod time_offset;
 
 use crate::{
-    adaptation::disturbances::Disturbances,
+    adaptation::{disturbances::Disturbances, images::ImageAdaptation},
     config::{StatusConfig, TightConfig},
     ekf::state::State,
     health::{
@@ -22,7 +22,7 @@ use crate::{
         status::{Status, TimeOffsetStatus},
     },
     initialization::time_offset::TimeOffsetSearch,
-    input::{climber_track::ClimberTrack, imu::ImuInput, markers::MarkerInput},
+    input::{climber_track::ClimberTrack, imu::ImuInput},
     measurements::geometry::Geometry,
     timeline::{arrival::Arrival, history::History},
 };
@@ -37,7 +37,7 @@ pub struct Filter {
     arrival: Arrival,
     history: History,
     imu: ImuInput,
-    markers: MarkerInput,
+    images: ImageAdaptation,
     climber: ClimberTrack,
     disturbances: Disturbances,
     trust: EncoderTrust,
@@ -79,7 +79,7 @@ impl Filter {
             arrival: Arrival::default(),
             history: History::default(),
             imu: ImuInput::default(),
-            markers: MarkerInput::default(),
+            images: ImageAdaptation::default(),
             climber: ClimberTrack::new(&config.climber),
             disturbances: Disturbances::default(),
             trust: EncoderTrust::default(),
@@ -153,8 +153,8 @@ impl Filter {
                 sigma: config.clock.camera_sigma,
                 searching: self.search.is_some(),
             },
-            pixel_noise_factor: self.markers.noise.factor.sqrt(),
-            rope: geometry.and_then(|g| self.publisher.rope.rope(&config.pendulum, g)),
+            pixel_noise_factor: self.images.pixel_noise.factor.sqrt(),
+            rope: geometry.and_then(|g| self.images.rope.rope(&config.pendulum, g)),
             counts: self.publisher.counts,
             ..Status::default()
         };

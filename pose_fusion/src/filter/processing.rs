@@ -85,10 +85,10 @@ impl Filter {
                 (Step::Image(record, smoothing), Event::Image { image, stamp, fresh, .. }) => {
                     let (image, stamp) = (*image, *stamp);
                     if std::mem::take(fresh) {
-                        self.imu.smoothing = smoothing;
+                        self.history.smoothing = smoothing;
                         self.on_image(place, stamp, &image, &record)
                     } else {
-                        self.markers.shake.corrected(stamp, &record);
+                        self.images.shake.corrected(stamp, &record);
                         false
                     }
                 }
@@ -103,14 +103,14 @@ impl Filter {
     fn step(&mut self, end: Stamp) -> Option<(usize, Step)> {
         let config = &self.setup.config;
         let geometry = self.setup.geometry.as_ref()?;
-        let rope = self.publisher.rope.rope(&config.pendulum, geometry);
+        let rope = self.images.rope.rope(&config.pendulum, geometry);
         let context = Context {
             config,
             geometry,
             noise: self.process_noise(),
             disturbances: &self.disturbances,
             rope: rope.zip(self.climber.newest().map(|(_, _, rest)| *rest)),
-            noise_of_changes: self.imu.noise.noise_of_changes(self.imu.smoothing),
+            noise_of_changes: self.imu.noise.noise_of_changes(self.history.smoothing),
             imu_period: self.imu.noise.period(),
         };
         repropagation::step(&mut self.history, &context, end)
@@ -154,7 +154,7 @@ impl Filter {
         if self.setup.frozen {
             return false;
         }
-        self.markers.shake.add(stamp, record);
+        self.images.shake.add(stamp, record);
         let (Some(entry), Some(geometry)) = (self.history.get(place), &self.setup.geometry) else {
             return false;
         };
@@ -182,7 +182,7 @@ impl Filter {
         let settled = self.monitor.initialized_at.is_some_and(|i| stamp.seconds_since(i) > SETTLED);
         if record.used >= 3 && !excused && settled {
             let c = &self.setup.config;
-            self.publisher.rope.compare(
+            self.images.rope.compare(
                 &c.pendulum,
                 geometry,
                 &entry.state,
@@ -193,7 +193,7 @@ impl Filter {
         }
         let last_used = self.monitor.last_used;
         let limit = self.setup.config.markers.lock_out_images;
-        let agrees = record.agrees_with_itself() && self.markers.agreed_before();
+        let agrees = record.agrees_with_itself() && self.images.agreed_before();
         // Encoders that just jumped may be what the image contradicts, and a shock
         // breaks a prediction that held until then: a marker that has been beside its prediction
         // is itself what is wrong.
@@ -203,7 +203,7 @@ impl Filter {
         let rejects = self.monitor.rejects(rejected);
         let sudden = rejects
             && !self.disturbances.is_climber_disturbed(at, SUSPECT)
-            && self.imu.model_error.factor <= SUDDEN;
+            && self.images.model_error.factor <= SUDDEN;
         let is_shock = match record.used {
             4 => record.nis > SHOCK_NIS,
             _ => record.against_prediction.is_some_and(|nis| nis > SHOCK_NIS_GATED) && sudden,
@@ -213,9 +213,9 @@ impl Filter {
         }
         if let Some(misfit) = &record.misfit {
             if self.setup.config.calibration.marker > 0.0 {
-                self.markers.compare_layout(&misfit.offsets);
+                self.images.layout.add(&misfit.offsets);
             }
-            self.markers.add_misfit(&misfit.whitened, record.used < 4);
+            self.images.add_misfit(&misfit.whitened, record.used < 4);
         }
         let internal = match (&record.misfit, record.used) {
             (Some(misfit), 4) => Some(misfit.squared()),
@@ -226,12 +226,12 @@ impl Filter {
         // Images alone follow a swing roughly.
         let unpredicted = excused || self.arrival.is_imu_silent();
         if let (Some(internal), false) = (internal, unpredicted) {
-            let grows = self.imu.model_error.add(record.nis - internal, &MODEL_ERROR);
-            let doubted = self.imu.model_error.ratio > DOUBTED && self.search.is_none();
+            let grows = self.images.model_error.add(record.nis - internal, &MODEL_ERROR);
+            let doubted = self.images.model_error.ratio > DOUBTED && self.search.is_none();
             if (grows || doubted) && self.try_without_encoders(at) {
                 return false;
             }
-            if self.imu.model_error.factor > SUDDEN {
+            if self.images.model_error.factor > SUDDEN {
                 self.search_again(agrees && grows);
             }
         }
@@ -247,7 +247,7 @@ impl Filter {
         if let (Response::FollowImages(_), Some(misfit), false) =
             (response, &record.misfit, record.agrees_with_itself())
         {
-            self.markers.noise.raise(misfit.noise_factor(), &PIXEL_NOISE);
+            self.images.pixel_noise.raise(misfit.noise_factor(), &PIXEL_NOISE);
             self.monitor.clear();
             return false;
         }
@@ -278,7 +278,7 @@ impl Filter {
         let at = entry.stamp;
         let repeated = self.monitor.note_followed(stamp);
         self.search_again(record.agrees_with_itself());
-        self.imu.model_error.raise(CONTRADICTION_GROWTH, &MODEL_ERROR);
+        self.images.model_error.raise(CONTRADICTION_GROWTH, &MODEL_ERROR);
         // An encoder that stopped while the images see the climber drive on is stuck, unless the time
         // offset is what they contradict.
         let known = self.offset_doubt() <= OFFSET_DOUBTED;

@@ -8,7 +8,6 @@ use crate::{
     measurements::{
         Innovation, Outcome,
         markers::{ImageInnovation, Pixels},
-        rope::RopeIdentification,
     },
     output::{
         MarkerUpdates, Odometry, Output, Warning,
@@ -59,7 +58,6 @@ pub(super) struct Silence {
 pub(super) struct Publisher {
     pub counts: Counts,
     pub continuity: Continuity,
-    pub rope: RopeIdentification,
     pub position_sigma: f64,
     changes: Changes,
     calibration: Uncertainty,
@@ -341,7 +339,7 @@ impl Filter {
         let densities = self.imu.densities(&self.setup.rig.imu);
         let mut calibration = self.publisher.calibration;
         // Lasting contradictions mean that the rig's files are wrong by more than their sigmas.
-        calibration.scale(self.imu.model_error.factor);
+        calibration.scale(self.images.model_error.factor);
         calibration.variances[TIME_OFFSET_ERROR] = self.offset_doubt().powi(2);
         Settings {
             rate_variance: densities.rate / self.imu.noise.period(),

@@ -3,7 +3,7 @@
 
 use super::{Filter, search};
 use crate::{
-    adaptation::innovation_scale::PIXEL_NOISE,
+    adaptation::{innovation_scale::PIXEL_NOISE, layout_misfit::LayoutMisfit},
     ekf::{
         calibration::Calibration,
         propagation::ImuReading,
@@ -122,7 +122,7 @@ impl Filter {
     /// Drops everything that was estimated: it was unsound.
     pub(super) fn reset_estimate(&mut self) {
         self.restart();
-        self.markers.forget_layout();
+        self.images.layout = LayoutMisfit::default();
         self.start = Start { markers_seen: self.start.markers_seen, ..Start::default() };
         self.search = search(&self.setup.config);
     }
@@ -205,9 +205,9 @@ impl Filter {
             return self.publisher.skip(stamp, pixels, Outcome::NotInitialized);
         }
         let mut image = Image::new(pixels, time_offset, climber.rest);
-        image.shake = self.markers.shake.variance().map(|v| v as f32).into();
+        image.shake = self.images.shake.variance().map(|v| v as f32).into();
         let up = up.or_else(|| self.imu.force_up_at(at, &self.history));
-        let ups = [self.imu.own_up_at(at), up];
+        let ups = [self.imu.verticals.at(at), up];
         let known = self.calibration();
         let Some(start) = self.likeliest_start(at, &image, ups, &climber, &known) else {
             return self.publisher.skip(stamp, pixels, Outcome::Inconsistent);
@@ -215,8 +215,8 @@ impl Filter {
         self.publisher.record(stamp, &start.record, false);
         self.monitor.initialized(stamp);
         self.publisher.warn(Warning::Initialized { stamp });
-        self.markers.noise.raise(start.noise_factor, &PIXEL_NOISE);
-        self.markers.shake.interrupt(stamp, &start.record);
+        self.images.pixel_noise.raise(start.noise_factor, &PIXEL_NOISE);
+        self.images.shake.interrupt(stamp, &start.record);
         let mut state = start.state;
         self.remember(&mut state);
         self.set_state(at, state);
@@ -307,7 +307,7 @@ impl Filter {
         let at = stamp.plus_seconds(old.time_offset.max(image.time_offset));
         let mut image = *image;
         image.time_offset = old.time_offset;
-        let ups = [self.imu.own_up_at(at), self.imu.force_up_at(at, &self.history)];
+        let ups = [self.imu.verticals.at(at), self.imu.force_up_at(at, &self.history)];
         let ups = ups.map(|up| up.filter(|_| uses_up));
         // What contradicted the images has moved the climber of the state, too.
         let trusted = (!self.trust.is_suspended()).then(|| self.climber_at(stamp)).flatten();
@@ -323,8 +323,8 @@ impl Filter {
         let Some(start) = self.likeliest_start(at, &image, ups, &climber, &old.calibration) else {
             return false;
         };
-        self.markers.noise.raise(start.noise_factor, &PIXEL_NOISE);
-        self.markers.shake.interrupt(stamp, &start.record);
+        self.images.pixel_noise.raise(start.noise_factor, &PIXEL_NOISE);
+        self.images.shake.interrupt(stamp, &start.record);
         let mut state = start.state;
         carry_over(&mut state, &old, self.start.searches_again);
         state.climber_acceleration = old.climber_acceleration;

@@ -5,7 +5,6 @@ use crate::{
     adaptation::{
         imu_integrity::ImuIntegrity,
         imu_noise::{Densities, ImuNoise},
-        innovation_scale::InnovationScale,
         stationary::Stationary,
     },
     ekf::propagation::ImuReading,
@@ -94,12 +93,9 @@ pub struct ImuInput {
     /// Noise of the samples.
     pub noise: ImuNoise,
     stationary: Stationary,
-    ups: VerticalReferences,
+    /// The IMU's own directions of "up".
+    pub verticals: VerticalReferences,
     ignores_attitude: bool,
-    /// Model error identified from the images.
-    pub model_error: InnovationScale,
-    /// Half the width of the mean that is the motion at an image, s.
-    pub smoothing: f64,
     /// The noise was known at some time.
     known: bool,
 }
@@ -112,11 +108,13 @@ impl ImuInput {
     }
 
     /// Returns the event of a reading `dt` seconds after the previous one (`None`: the first).
+    /// `model_error` is the factor on the sigma of its scale factors.
     pub fn event(
         &mut self,
         reading: &ImuReading,
         dt: Option<f64>,
         mounting: &ImuMounting,
+        model_error: f64,
     ) -> Event {
         let given = given(mounting);
         self.noise.add(reading, dt.unwrap_or(0.0));
@@ -126,20 +124,20 @@ impl ImuInput {
         let found = self.noise.sample_variances();
         let variances = found.zip(&given, |found, given| found.max(given / period));
         let at_rest = self.stationary.add(reading, dt, &variances);
-        let more = self.integrity.additional(reading, dt, &variances, self.model_error.factor);
+        let more = self.integrity.additional(reading, dt, &variances, model_error);
         Event::Imu { noise: noise.zip(&more, |usual, more| usual + more), at_rest }
     }
 
     /// Ignores the IMU's own attitude from now on.
     pub fn ignore_attitude(&mut self) {
         self.ignores_attitude = true;
-        self.ups = VerticalReferences::default();
+        self.verticals = VerticalReferences::default();
     }
 
     /// Remembers the IMU's own attitude, where the sample has a usable one.
     pub fn remember_attitude(&mut self, sample: &ImuSample, floor: f64) {
         if !self.ignores_attitude {
-            self.ups.add(sample, floor);
+            self.verticals.add(sample, floor);
         }
     }
 
@@ -165,11 +163,6 @@ impl ImuInput {
         self.noise.densities(&given(mounting))
     }
 
-    /// Returns the IMU's own direction of "up" at an instant.
-    pub fn own_up_at(&self, stamp: Stamp) -> Option<Up> {
-        self.ups.at(stamp)
-    }
-
     /// Returns the mean direction of the specific force around an instant.
     pub fn force_up_at(&self, stamp: Stamp, history: &History) -> Option<Up> {
         mean_force(stamp, history)?.try_normalize(1e-3).map(|in_imu| Up {
@@ -184,7 +177,7 @@ impl ImuInput {
     /// negated ones, ones without gravity.
     pub fn wrong_gravity(&self, stamp: Stamp, history: &History, gravity: f64) -> Option<f64> {
         let force = mean_force(stamp, history)?;
-        let upward = match self.own_up_at(stamp) {
+        let upward = match self.verticals.at(stamp) {
             Some(up) => force.dot(&up.in_imu),
             None => force.norm(),
         };
