@@ -381,7 +381,7 @@ impl Filter {
             && self.history.get(1).is_some_and(|n| n.stamp < oldest)
         {
             if started {
-                self.publisher.archive(self.history.get(0));
+                self.publisher.archive.add(self.history.get(0));
             }
             self.history.drop_first();
         }

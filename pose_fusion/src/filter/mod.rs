@@ -8,6 +8,7 @@ mod ingest;
 mod operator;
 mod processing;
 mod publish;
+mod readiness;
 mod reweighing;
 mod starting;
 mod time_offset;
@@ -15,7 +16,7 @@ mod time_offset;
 use crate::{
     adaptation::{disturbances::Disturbances, images::ImageAdaptation},
     config::{StatusConfig, TightConfig},
-    ekf::state::State,
+    ekf::{consider::Uncertainty, state::State},
     health::{
         contradiction_monitor::ContradictionMonitor,
         encoder_trust::EncoderTrust,
@@ -54,6 +55,8 @@ struct Setup {
     config: TightConfig,
     status: StatusConfig,
     geometry: Option<Geometry>,
+    /// Sigmas of what the rig file says.
+    calibration: Uncertainty,
     frozen: bool,
     /// Configured time offset of the camera with the steps of the clocks since, s.
     camera_offset: f64,
@@ -64,17 +67,17 @@ struct Setup {
 impl Filter {
     /// Creates a filter without an estimate.
     pub fn new(rig: Rig, config: TightConfig, status: StatusConfig) -> Self {
-        let camera_offset = config.clock.camera_offset;
         let setup = Setup {
+            camera_offset: config.clock.camera_offset,
+            calibration: Uncertainty::new(&config.calibration, &rig.markers),
             rig,
             config,
             status,
             geometry: None,
             frozen: false,
-            camera_offset,
             stepped: None,
         };
-        let (rig, config) = (&setup.rig, &setup.config);
+        let config = &setup.config;
         Self {
             arrival: Arrival::default(),
             history: History::default(),
@@ -86,7 +89,7 @@ impl Filter {
             monitor: ContradictionMonitor::default(),
             search: search(config),
             start: Start::default(),
-            publisher: Publisher::new(config, rig),
+            publisher: Publisher::new(),
             setup,
         }
     }

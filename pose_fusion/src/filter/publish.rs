@@ -2,8 +2,7 @@
 
 use super::Filter;
 use crate::{
-    config::TightConfig,
-    ekf::consider::{TIME_OFFSET_ERROR, Uncertainty},
+    ekf::consider::TIME_OFFSET_ERROR,
     health::{pose_status::PoseState, pose_status::PoseStatus, status::Counts},
     measurements::{
         Innovation, Outcome,
@@ -15,16 +14,13 @@ use crate::{
         largest_sigma,
         odometry::{Settings, odometry},
         prediction::{self, Changes},
-        smoother,
+        smoother::Archive,
         status_timer::StatusTimer,
         swing,
     },
-    timeline::{
-        arrival::{JUMP, Source},
-        history::Entry,
-    },
+    timeline::arrival::{JUMP, Source},
 };
-use rig_model::{PerColor, Rig, Stamp, topics};
+use rig_model::{PerColor, Stamp};
 use std::collections::VecDeque;
 
 /// After a silence of the IMU its samples carry the pose from the next image on, or after this
@@ -35,17 +31,15 @@ const RESUMING: f64 = 0.3;
 /// Without a pose for longer than this a status alone is published, s.
 const SILENT: f64 = 0.3;
 
-/// Length of a batch of smoothed odometry, s.
-const SMOOTHED: f64 = 60.0;
-/// Later data that a smoothed estimate knows at least, s: biases and time offset are found in less.
-const LAG: f64 = 20.0;
-
 /// A pose is not reported as lost while its second image is expected, s.
 const SECOND_IMAGE: f64 = 1.0;
 
 /// What is missing.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Silence {
+    /// When the filter last had no pose, until the first odometry after that.
+    awaited: Option<Stamp>,
+    status_timer: StatusTimer,
     /// That the pose is LOST was reported.
     pose_lost: bool,
     imu_lost: bool,
@@ -60,28 +54,21 @@ pub(super) struct Publisher {
     pub continuity: Continuity,
     pub position_sigma: f64,
     changes: Changes,
-    calibration: Uncertainty,
     /// Newest instant of the inputs, IMU time.
     now: Option<Stamp>,
     last_published: Option<Stamp>,
-    /// When the filter last had no pose, until the first odometry after that.
-    awaited: Option<Stamp>,
     pub(super) last_encoders: Option<Stamp>,
     pub(super) markers_used: u8,
-    status_timer: StatusTimer,
     silence: Silence,
-    archive: Option<Vec<Entry>>,
+    /// Entries for the smoother.
+    pub archive: Archive,
     out: VecDeque<Output>,
 }
 
 impl Publisher {
-    pub fn new(config: &TightConfig, rig: &Rig) -> Self {
-        Self {
-            position_sigma: f64::INFINITY,
-            calibration: Uncertainty::new(&config.calibration, &rig.markers),
-            out: VecDeque::with_capacity(256),
-            ..Self::default()
-        }
+    pub fn new() -> Self {
+        let out = VecDeque::with_capacity(256);
+        Self { position_sigma: f64::INFINITY, out, ..Self::default() }
     }
 
     /// Outputs a warning.
@@ -105,7 +92,7 @@ impl Publisher {
     /// Takes over what a reset keeps.
     pub fn keep_from(&mut self, former: &mut Publisher) {
         self.counts = former.counts;
-        self.archive = former.archive.take();
+        self.archive = std::mem::take(&mut former.archive);
         self.out = std::mem::take(&mut former.out);
     }
 
@@ -123,13 +110,6 @@ impl Publisher {
     pub fn note_now(&mut self, at: Stamp) {
         let behind = self.now.filter(|now| (0.0..JUMP).contains(&now.seconds_since(at)));
         self.now = behind.or(Some(at));
-    }
-
-    /// Keeps an entry for the smoother.
-    pub fn archive(&mut self, entry: Option<&Entry>) {
-        if let Some(archive) = &mut self.archive {
-            archive.extend(entry.cloned());
-        }
     }
 
     /// Outputs the records of an image that is not processed.
@@ -227,7 +207,7 @@ impl Filter {
         });
         self.publisher.position_sigma = position_sigma;
         self.publisher.last_published = Some(end);
-        self.publisher.awaited = None;
+        self.publisher.silence.awaited = None;
         self.publisher.silence.imu_lost &= silent;
         self.publisher.silence.resumed = None;
         let lost = status.state == PoseState::Lost;
@@ -255,14 +235,12 @@ impl Filter {
         let now = self.publisher.now?;
         let started = self.is_started();
         if !started {
-            self.publisher.awaited = Some(now);
+            self.publisher.silence.awaited = Some(now);
         }
-        let due = self.publisher.status_timer.is_due(now);
-        if !due || (started && self.silence(now) < SILENT) {
+        if started && self.silence(now) < SILENT {
             return None;
         }
-        self.publisher.status_timer.note(now);
-        Some(self.pose_status(now))
+        self.publisher.silence.status_timer.is_due(now).then(|| self.pose_status(now))
     }
 
     /// Returns the status of a filter that outputs no odometry at an instant of IMU time.
@@ -278,7 +256,7 @@ impl Filter {
 
     /// Returns the time since the newest odometry, or since there was no pose, s.
     fn silence(&self, now: Stamp) -> f64 {
-        let last_output = self.publisher.awaited.or(self.publisher.last_published);
+        let last_output = self.publisher.silence.awaited.or(self.publisher.last_published);
         last_output.map_or(f64::INFINITY, |last| now.seconds_since(last))
     }
 
@@ -289,41 +267,6 @@ impl Filter {
         let imu = self.arrival.newest_imu().map(|(stamp, _)| stamp);
         let age = |stamp: Stamp| at.seconds_since(stamp).max(0.0);
         [image, imu, self.publisher.last_encoders].map(|stamp| stamp.map_or(f64::INFINITY, age))
-    }
-
-    /// Returns the topics without a usable message, which the initialization waits for.
-    pub fn absent(&self) -> Vec<&'static str> {
-        let camera = self.setup.geometry.is_none().then_some(topics::CAMERA_INFO);
-        let imu = self.arrival.newest_imu().is_none().then_some(topics::IMU);
-        let climber = self.climber.newest().is_none().then_some(topics::CLIMBER_TRANSFORM);
-        [camera, imu, climber].into_iter().flatten().collect()
-    }
-
-    /// Returns what the initialization waits for; empty where there is a pose.
-    pub fn missing(&self) -> String {
-        let missing = self.absent();
-        if self.is_started() {
-            String::new()
-        } else if !missing.is_empty() {
-            format!("no message on {}", missing.join(", "))
-        } else if self.setup.frozen {
-            "markers are not used: call ~/freeze with false, or ~/reset".to_owned()
-        } else if let Some(force) = self.start.wrong_gravity {
-            format!(
-                "{}: linear_acceleration is {force:.2} m/s^2 upward on average, not {:.2}: its \
-                 unit (not g), sign, orientation, gravity removed?",
-                topics::IMU,
-                self.setup.config.gravity
-            )
-        } else if self.climber.leaps_now() {
-            format!(
-                "{}: the readings leap further than a climber moves: encoder, scale, second \
-                 publisher?",
-                topics::CLIMBER_TRANSFORM
-            )
-        } else {
-            "no image with three markers that fit together".to_owned()
-        }
     }
 
     /// Returns the uncertainty of the time offset beside the state's, while it is searched, s.
@@ -337,7 +280,7 @@ impl Filter {
 
     fn settings(&self) -> Settings {
         let densities = self.imu.densities(&self.setup.rig.imu);
-        let mut calibration = self.publisher.calibration;
+        let mut calibration = self.setup.calibration;
         // Lasting contradictions mean that the rig's files are wrong by more than their sigmas.
         calibration.scale(self.images.model_error.factor);
         calibration.variances[TIME_OFFSET_ERROR] = self.offset_doubt().powi(2);
@@ -349,16 +292,16 @@ impl Filter {
         }
     }
 
-    /// Keeps from now on what the smoother needs: about 1 MB per second.
+    /// Keeps from now on what the smoother needs.
     pub fn keep_archive(&mut self) {
-        self.publisher.archive.get_or_insert_default();
+        self.publisher.archive.enable();
     }
 
     /// Keeps the processed entries at the end of an estimate: those before `until`, if given.
     pub(super) fn archive_until(&mut self, until: Option<Stamp>) {
         for place in 0..self.history.processed() {
             let entry = self.history.get(place);
-            self.publisher.archive(entry.filter(|e| until.is_none_or(|u| e.stamp < u)));
+            self.publisher.archive.add(entry.filter(|e| until.is_none_or(|u| e.stamp < u)));
         }
     }
 
@@ -367,29 +310,10 @@ impl Filter {
         if end {
             self.archive_until(None);
         }
-        let (Some(archive), Some(geometry)) = (&mut self.publisher.archive, &self.setup.geometry)
-        else {
-            return Vec::new();
-        };
-        let (Some(first), Some(last)) = (archive.first(), archive.last()) else {
-            return Vec::new();
-        };
-        // A clock that was set back is no reason to wait.
-        let (span, last) = (last.stamp.seconds_since(first.stamp), last.stamp);
-        if !end && (0.0..=SMOOTHED + LAG).contains(&span) {
-            return Vec::new();
-        }
-        let entries = std::mem::take(archive);
-        let states = smoother::smooth(&entries, self.setup.config.gravity);
-        let until = if end { last } else { last.plus_seconds(-LAG) };
-        let later = entries.iter().rev().take_while(|e| e.stamp > until && e.stamp <= last);
-        let ready = entries.len() - later.count();
-        let settings = self.settings();
-        let smoothed = entries.iter().zip(&states).take(ready).filter(|(e, _)| e.is_imu());
-        let smoothed = smoothed
-            .map(|(entry, state)| odometry(entry.stamp, state, &entry.reading, geometry, &settings))
-            .collect();
-        self.publisher.archive = Some(entries.into_iter().skip(ready).collect());
-        smoothed
+        let (settings, gravity) = (self.settings(), self.setup.config.gravity);
+        let Some(geometry) = &self.setup.geometry else { return Vec::new() };
+        self.publisher.archive.smoothed(end, gravity, |entry, state| {
+            odometry(entry.stamp, state, &entry.reading, geometry, &settings)
+        })
     }
 }

@@ -281,7 +281,9 @@ impl Filter {
             },
         };
         for _ in 0..place {
-            self.publisher.archive(self.history.get(0).filter(|_| self.history.processed() > 0));
+            self.publisher
+                .archive
+                .add(self.history.get(0).filter(|_| self.history.processed() > 0));
             self.history.drop_first();
         }
         let place = self.history.insert(at, Event::Set, reading);

@@ -17,9 +17,14 @@ impl StatusTimer {
         self.last = Some(at);
     }
 
-    /// Returns whether a status is due at an instant: a period after the last one, and after a
-    /// jump of time.
-    pub fn is_due(&self, now: Stamp) -> bool {
-        self.last.is_none_or(|last| !(0.0..STATUS_PERIOD).contains(&now.seconds_since(last)))
+    /// Returns whether a status is due at an instant, and notes it: a period after the last one, and
+    /// after a jump of time.
+    pub fn is_due(&mut self, now: Stamp) -> bool {
+        let due =
+            self.last.is_none_or(|last| !(0.0..STATUS_PERIOD).contains(&now.seconds_since(last)));
+        if due {
+            self.note(now);
+        }
+        due
     }
 }

@@ -207,11 +207,7 @@ impl Paper {
     pub fn due_status(&mut self, from: Source, stamp: Stamp) -> Option<PoseStatus> {
         let now = self.imu_time(from, stamp);
         let silent = self.silence(now) > self.config.status.max_image_age;
-        if !silent || !self.reports.timer.is_due(now) {
-            return None;
-        }
-        self.reports.timer.note(now);
-        Some(self.pose_status(now))
+        (silent && self.reports.timer.is_due(now)).then(|| self.pose_status(now))
     }
 
     /// Returns the status at an instant of IMU time.
