@@ -5,8 +5,9 @@ mod diagnostics;
 mod rejections;
 
 use crate::{
-    Fusion, Input, Model, Output, PoseStatus, RigCheck, Warning, messages,
-    output::status_timer::STATUS_PERIOD,
+    Fusion, Input, Model, Output, PoseStatus, RigCheck, Warning,
+    health::pose_status::STATUS_PERIOD,
+    messages,
     parameters::FusionParameters,
     services::{self, Request},
 };

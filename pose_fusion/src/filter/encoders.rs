@@ -52,7 +52,7 @@ impl Filter {
                 self.climber.adapt_jerk(innovation.nis);
             }
             if !self.trust.is_suspended() {
-                self.publisher.note_encoders(at);
+                self.publisher.last_encoders = self.publisher.last_encoders.max(Some(at));
             }
             return false;
         }

@@ -3,7 +3,10 @@
 use super::Filter;
 use crate::{
     ekf::consider::TIME_OFFSET_ERROR,
-    health::{pose_status::PoseState, pose_status::PoseStatus, status::Counts},
+    health::{
+        pose_status::{PoseState, PoseStatus, StatusTimer},
+        status::Counts,
+    },
     measurements::{
         Innovation, Outcome,
         markers::{ImageInnovation, Pixels},
@@ -15,7 +18,6 @@ use crate::{
         odometry::{Settings, odometry},
         prediction::{self, Changes},
         smoother::Archive,
-        status_timer::StatusTimer,
         swing,
     },
     timeline::arrival::{JUMP, Source},
@@ -57,6 +59,7 @@ pub(super) struct Publisher {
     /// Newest instant of the inputs, IMU time.
     now: Option<Stamp>,
     last_published: Option<Stamp>,
+    /// IMU time of the newest encoder reading that was used.
     pub(super) last_encoders: Option<Stamp>,
     pub(super) markers_used: u8,
     silence: Silence,
@@ -94,11 +97,6 @@ impl Publisher {
         self.counts = former.counts;
         self.archive = std::mem::take(&mut former.archive);
         self.out = std::mem::take(&mut former.out);
-    }
-
-    /// Notes the IMU time of an encoder reading that was used.
-    pub fn note_encoders(&mut self, at: Stamp) {
-        self.last_encoders = self.last_encoders.max(Some(at));
     }
 
     /// Notes that the IMU is silent; true the first time.

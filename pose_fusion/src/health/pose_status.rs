@@ -132,6 +132,24 @@ impl PoseStatus {
     }
 }
 
+/// Time between two status messages without odometry, s.
+pub const STATUS_PERIOD: f64 = 0.1;
+
+/// Schedules the status at 10 Hz of data time, given the stamp of the last one.
+#[derive(Clone, Debug, Default)]
+pub struct StatusTimer(pub Option<Stamp>);
+
+impl StatusTimer {
+    /// Returns whether a status is due at an instant, and notes it: a period after the last one, and
+    /// after a jump of time.
+    pub fn is_due(&mut self, now: Stamp) -> bool {
+        let since = self.0.map_or(f64::INFINITY, |last| now.seconds_since(last));
+        let due = !(0.0..STATUS_PERIOD).contains(&since);
+        self.0 = if due { Some(now) } else { self.0 };
+        due
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -7,7 +7,6 @@ pub mod odometry;
 pub mod prediction;
 pub mod rate_limit;
 pub mod smoother;
-pub mod status_timer;
 pub mod swing;
 mod warning;
 

@@ -4,10 +4,10 @@
 use crate::{
     config::{FusionConfig, PaperMeasurement},
     health::{
-        pose_status::{PoseState, PoseStatus},
+        pose_status::{PoseState, PoseStatus, StatusTimer},
         status::{Counts, InputCounts, Status, TimeOffsetStatus},
     },
-    output::{Odometry, largest_sigma, status_timer::StatusTimer},
+    output::{Odometry, largest_sigma},
     reference::{
         gyro_attitude::GyroAttitude,
         marker_measurement::{correction, euler, plane_residual, vector, world_rates},
@@ -30,9 +30,8 @@ const SET_BACK: f64 = 1.0;
 pub struct Paper {
     config: FusionConfig,
     rig: Rig,
-    /// The IMU outputs its own attitude.
-    own_attitude: bool,
-    computed_attitude: GyroAttitude,
+    /// Attitude of an IMU that has not output its own.
+    computed_attitude: Option<GyroAttitude>,
     waiting: VecDeque<ImuSample>,
     last_sample: Option<ImuSample>,
     /// Rotation of east-north-up to the world, rad; known from the first visual pose on.
@@ -42,14 +41,8 @@ pub struct Paper {
     state: Option<Estimate>,
     /// Stamp of the newest image that gave a pose, and its number of markers.
     last_visual: Option<(Stamp, u8)>,
-    reports: Reports,
-}
-
-/// What a reset keeps of the reports.
-#[derive(Debug, Default)]
-struct Reports {
     images: u64,
-    timer: StatusTimer,
+    status_timer: StatusTimer,
 }
 
 #[derive(Clone, Debug)]
@@ -67,8 +60,7 @@ impl Paper {
         Self {
             config: config.clone(),
             rig: rig.clone(),
-            own_attitude: false,
-            computed_attitude: GyroAttitude::default(),
+            computed_attitude: Some(GyroAttitude::default()),
             waiting: VecDeque::with_capacity(WAITING),
             last_sample: None,
             heading: None,
@@ -76,16 +68,17 @@ impl Paper {
             moved: Vector3::zeros(),
             state: None,
             last_visual: None,
-            reports: Reports::default(),
+            images: 0,
+            status_timer: StatusTimer::default(),
         }
     }
 
     /// Discards the estimate.
     pub fn reset(&mut self) {
         *self = Self {
-            own_attitude: self.own_attitude,
-            computed_attitude: std::mem::take(&mut self.computed_attitude),
-            reports: std::mem::take(&mut self.reports),
+            computed_attitude: self.computed_attitude.take(),
+            images: self.images,
+            status_timer: std::mem::take(&mut self.status_timer),
             ..Self::new(&self.rig, &self.config)
         };
     }
@@ -99,9 +92,9 @@ impl Paper {
                 None
             }
             Sample::Markers(markers) => {
-                self.reports.images += 1;
+                self.images += 1;
                 let odometry = self.image(self.imu_time(Source::Image, markers.stamp), visual)?;
-                self.reports.timer.note(odometry.stamp);
+                self.status_timer.0 = Some(odometry.stamp);
                 Some(odometry)
             }
             Sample::Climber(_) | Sample::Camera(_) => None,
@@ -133,15 +126,13 @@ impl Paper {
     fn with_attitude(&mut self, sample: &ImuSample) -> Option<ImuSample> {
         let mut sample = *sample;
         if sample.orientation.is_some() {
-            if !self.own_attitude {
+            if self.computed_attitude.is_some() {
                 // Both attitudes have a heading of their own.
                 self.reset();
-                self.own_attitude = true;
+                self.computed_attitude = None;
             }
-        } else if self.own_attitude {
-            return None;
         } else {
-            let enu_from_imu = self.computed_attitude.update(&sample)?;
+            let enu_from_imu = self.computed_attitude.as_mut()?.update(&sample)?;
             sample.orientation = Some(OrientationSample { enu_from_imu, covariance: None });
         }
         Some(sample)
@@ -207,7 +198,7 @@ impl Paper {
     pub fn due_status(&mut self, from: Source, stamp: Stamp) -> Option<PoseStatus> {
         let now = self.imu_time(from, stamp);
         let silent = self.silence(now) > self.config.status.max_image_age;
-        (silent && self.reports.timer.is_due(now)).then(|| self.pose_status(now))
+        (silent && self.status_timer.is_due(now)).then(|| self.pose_status(now))
     }
 
     /// Returns the status at an instant of IMU time.
@@ -253,7 +244,7 @@ impl Paper {
     pub fn status(&self) -> Status {
         let offset = self.config.tight.clock.camera_offset;
         let (configured, sigma, searching) = (offset, f64::NAN, false);
-        let inputs = InputCounts { images: self.reports.images, ..InputCounts::default() };
+        let inputs = InputCounts { images: self.images, ..InputCounts::default() };
         let state = self.state.as_ref();
         Status {
             initialized: state.is_some(),
@@ -287,7 +278,7 @@ impl Paper {
 
     /// Whether the attitude is computed here, because the IMU outputs none.
     pub fn computes_attitude(&self) -> bool {
-        !self.own_attitude && self.newest_imu().is_some()
+        self.computed_attitude.is_some() && self.newest_imu().is_some()
     }
 
     /// Returns what the initialization waits for; empty where there is an estimate.
