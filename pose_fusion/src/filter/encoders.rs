@@ -118,7 +118,6 @@ impl Filter {
             Verdict::Adopt if self.setup.frozen => false,
             Verdict::Adopt => {
                 self.climber.clear_stuck();
-                self.publisher.counts.resets.encoder_steps += 1;
                 self.publisher.warn(Warning::EncoderStep { stamp: at });
                 self.monitor.replaced(at.plus_seconds(-self.time_offset()));
                 self.restart();

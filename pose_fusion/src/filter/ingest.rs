@@ -40,7 +40,7 @@ impl Filter {
 
     /// Counts an input that is rejected, and outputs why.
     pub fn reject(&mut self, why: Warning) {
-        self.publisher.reject(why);
+        self.publisher.warn(why);
     }
 
     /// Returns the stamp with which an IMU sample counts. Where it turns out that the samples come
@@ -61,14 +61,14 @@ impl Filter {
     fn imu(&mut self, sample: &ImuSample) {
         let (from, stamp, reading) = (Source::Imu, sample.stamp, ImuReading::from(sample));
         if let Err(what) = ImuIntegrity::check(&reading) {
-            return self.publisher.reject(Warning::NotFinite { from, stamp, what });
+            return self.publisher.warn(Warning::NotFinite { from, stamp, what });
         }
         match self.arrival.classify(stamp) {
             ImuArrival::First => self.newer_imu(sample, reading, None),
             ImuArrival::Next(dt) => self.newer_imu(sample, reading, Some(dt)),
             ImuArrival::NotNewer => self.late_imu(sample, reading),
             ImuArrival::Unconfirmed(ahead_s) => {
-                self.publisher.reject(if ahead_s < 0.0 {
+                self.publisher.warn(if ahead_s < 0.0 {
                     Warning::TooOld { from, stamp, age_s: -ahead_s }
                 } else {
                     Warning::Ahead { from, stamp, ahead_s }
@@ -91,7 +91,6 @@ impl Filter {
         let offset = self.time_offset();
         self.imu.clocks.imu(sample.stamp, -by_s, offset);
         self.publisher.warn(Warning::TimeJump { by_s });
-        self.publisher.counts.resets.time_jumps += 1;
         self.reset();
         self.next_imu(sample, reading, None);
     }
@@ -101,7 +100,6 @@ impl Filter {
         let offset = self.time_offset();
         let Some(step) = self.imu.clocks.message(source, stamp, offset) else { return };
         self.publisher.warn(Warning::ClockStep { by_s: step.by });
-        self.publisher.counts.resets.clock_steps += 1;
         if self.setup.config.clock.camera_sigma > 0.0 {
             let before = self.setup.stepped.unwrap_or(step.offset);
             self.setup.stepped = Some(before + step.by);
@@ -126,13 +124,12 @@ impl Filter {
             // Held back until after an image alone had initialized the pose, or of a clock that is
             // behind: the pose goes on without it until its stamps have come to the images'.
             let behind_s = first.stamp.seconds_since(sample.stamp);
-            return self.publisher.reject(Warning::BehindImages { stamp: sample.stamp, behind_s });
+            return self.publisher.warn(Warning::BehindImages { stamp: sample.stamp, behind_s });
         }
         let mut dt = dt;
         if let (Some(seconds), Some((from, _))) =
             (dt.filter(|dt| *dt > GAP), self.arrival.newest_imu())
         {
-            self.publisher.counts.inputs.imu_gaps += 1;
             self.publisher.warn(Warning::ImuGap { from, to: sample.stamp });
             self.imu.interrupt();
             if let (Some(search), true) = (&mut self.search, seconds > BRIDGED) {
@@ -198,17 +195,17 @@ impl Filter {
         let before = self.history.before(place).take_while(|entry| entry.stamp == stamp);
         let same = before.filter(|entry| entry.is_imu()).map(|entry| entry.reading).next();
         if same == Some(reading) {
-            return self.publisher.reject(Warning::Duplicate { from: Source::Imu, stamp });
+            return self.publisher.warn(Warning::Duplicate { from: Source::Imu, stamp });
         }
         if let Some(by_s) = self.arrival.late_imu(stamp, self.fills_gap(place)) {
             return self.set_back(sample, reading, by_s);
         }
         if same.is_some() {
-            return self.publisher.reject(Warning::Duplicate { from: Source::Imu, stamp });
+            return self.publisher.warn(Warning::Duplicate { from: Source::Imu, stamp });
         }
         if place == 0 {
             let age_s = self.age(stamp);
-            return self.publisher.reject(Warning::TooOld { from: Source::Imu, stamp, age_s });
+            return self.publisher.warn(Warning::TooOld { from: Source::Imu, stamp, age_s });
         }
         self.publisher.counts.inputs.late_imu += 1;
         let noise = self.imu.densities(&self.setup.rig.imu);
@@ -229,24 +226,21 @@ impl Filter {
     fn markers(&mut self, observations: &MarkerObservations) {
         let stamp = observations.stamp;
         self.publisher.counts.inputs.images += 1;
-        let mut unusable = 0;
         let pixels = markers::pixels(
             observations,
             &self.setup.config.markers,
             self.images.pixel_noise.factor,
             |warning| {
-                unusable += 1;
                 self.publisher.warn(warning);
             },
         );
-        self.publisher.counts.rejected.markers += unusable;
         self.start.markers_seen = pixels.iter().flatten().count();
         if self.images.stamps.contains(&stamp) {
-            return self.publisher.reject(Warning::Duplicate { from: Source::Image, stamp });
+            return self.publisher.warn(Warning::Duplicate { from: Source::Image, stamp });
         }
         self.note_arrival(Source::Image, stamp);
         if let Some(by_s) = self.arrival.other(Source::Image, stamp) {
-            self.publisher.reject(Warning::Jump { from: Source::Image, stamp, by_s });
+            self.publisher.warn(Warning::Jump { from: Source::Image, stamp, by_s });
             return self.publisher.skip(stamp, &pixels, Outcome::Rejected);
         }
         let silent = self.arrival.is_imu_silent();
@@ -258,7 +252,7 @@ impl Filter {
         let ahead_s =
             newest.map_or(0.0, |newest| stamp.plus_seconds(camera_offset).seconds_since(newest));
         if ahead_s > AHEAD && !silent {
-            self.publisher.reject(Warning::Ahead { from: Source::Image, stamp, ahead_s });
+            self.publisher.warn(Warning::Ahead { from: Source::Image, stamp, ahead_s });
             return self.publisher.skip(stamp, &pixels, Outcome::Rejected);
         }
         self.images.remember(stamp);
@@ -276,7 +270,7 @@ impl Filter {
         let time_offset = self.time_offset();
         let at = stamp.plus_seconds(time_offset);
         if self.history.get(0).is_none_or(|first| at <= first.stamp) {
-            self.publisher.reject(Warning::TooOld { from: Source::Image, stamp, age_s: -ahead_s });
+            self.publisher.warn(Warning::TooOld { from: Source::Image, stamp, age_s: -ahead_s });
             return self.publisher.skip(stamp, &pixels, Outcome::Rejected);
         }
         let Some((_, _, rest)) = self.climber.newest().copied() else {
@@ -310,18 +304,18 @@ impl Filter {
         let (pose, stamp, from) = (&sample.world_from_climber, sample.stamp, Source::Encoders);
         let numbers = pose.translation.vector.iter().chain(pose.rotation.coords.iter());
         if !numbers.into_iter().all(|x| x.is_finite()) {
-            return self.publisher.reject(Warning::NotFinite { from, stamp, what: "the pose" });
+            return self.publisher.warn(Warning::NotFinite { from, stamp, what: "the pose" });
         }
         self.note_arrival(from, stamp);
         if let Some(by_s) = self.arrival.other(from, stamp) {
-            return self.publisher.reject(Warning::Jump { from, stamp, by_s });
+            return self.publisher.warn(Warning::Jump { from, stamp, by_s });
         }
         let config = &self.setup.config;
         let offset = self.setup.camera_offset + config.clock.climber_offset;
         let imu = self.arrival.newest_imu().filter(|_| !self.arrival.is_imu_silent());
         let ahead = |at: Stamp| imu.map(|(imu, _)| at.plus_seconds(offset).seconds_since(imu));
         if let Some(ahead_s) = ahead(stamp).filter(|ahead_s| *ahead_s > AHEAD) {
-            return self.publisher.reject(Warning::Ahead { from, stamp, ahead_s });
+            return self.publisher.warn(Warning::Ahead { from, stamp, ahead_s });
         }
         let newest = self.climber.newest().map(|(newest, _, _)| *newest);
         let from_the_future = |newest: &Stamp| {
@@ -332,7 +326,7 @@ impl Filter {
         }
         let (values, rest) = ClimberHeightTilt::split(pose);
         let Some((variance, multiplicity)) = self.climber.add(stamp, values, rest) else {
-            return self.publisher.reject(Warning::Duplicate { from, stamp });
+            return self.publisher.warn(Warning::Duplicate { from, stamp });
         };
         if self.climber.noise.is_young() {
             self.reweigh_readings(&variance);
@@ -343,7 +337,7 @@ impl Filter {
         self.climber.note_latency(end.seconds_since(at));
         if self.is_started() && self.history.get(0).is_none_or(|first| at <= first.stamp) {
             let age_s = self.age(stamp);
-            return self.publisher.reject(Warning::TooOld { from, stamp, age_s });
+            return self.publisher.warn(Warning::TooOld { from, stamp, age_s });
         }
         let reading = EncoderReading {
             values,
@@ -356,7 +350,7 @@ impl Filter {
         if ahead_s > AHEAD && self.history.len() > CAPACITY / 2 {
             // For a long time neither IMU samples nor images have come, which would process it: it
             // must not push out the newest state.
-            return self.publisher.reject(Warning::NotKept { from, stamp, ahead_s });
+            return self.publisher.warn(Warning::NotKept { from, stamp, ahead_s });
         }
         let event = Event::Encoders { reading, excluded: self.trust.is_suspended(), fresh: true };
         self.history.insert(at, event, ImuReading::default());

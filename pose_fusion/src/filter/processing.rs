@@ -73,7 +73,6 @@ impl Filter {
                 sanity::violation(&entry.state, &self.setup.config, self.setup.camera_offset)
             {
                 self.publisher.warn(Warning::Diverged { stamp: at, what });
-                self.publisher.counts.resets.divergences += 1;
                 self.monitor.replaced(at.plus_seconds(-self.setup.camera_offset));
                 return self.reset_estimate();
             }
@@ -294,7 +293,6 @@ impl Filter {
             return self.reinitialize(stamp, image, since, true);
         }
         self.add_shock_noise(place, last_used, record);
-        self.publisher.counts.resets.shocks += 1;
         self.publisher.warn(Warning::Shock { since, stamp });
         false
     }

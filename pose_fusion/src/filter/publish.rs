@@ -74,22 +74,26 @@ impl Publisher {
         Self { position_sigma: f64::INFINITY, out, ..Self::default() }
     }
 
-    /// Outputs a warning.
+    /// Outputs a warning, and counts it.
     pub fn warn(&mut self, warning: Warning) {
-        self.out.push_back(Output::Warning(warning));
-    }
-
-    /// Counts an input that is rejected, and outputs why.
-    pub fn reject(&mut self, why: Warning) {
-        let Counts { inputs, rejected, .. } = &mut self.counts;
-        match (&why, why.origin()) {
+        let Counts { inputs, rejected, resets, .. } = &mut self.counts;
+        match (&warning, warning.origin()) {
             (Warning::Duplicate { .. }, _) => inputs.duplicates += 1,
+            (Warning::NotFinite { .. }, Some(Source::Image)) => rejected.markers += 1,
             (_, Some(Source::Imu)) => rejected.imu += 1,
             (_, Some(Source::Image)) => rejected.images += 1,
             (_, Some(Source::Encoders)) => rejected.climber += 1,
-            (_, None) => {}
+            (Warning::ImuGap { .. }, _) => inputs.imu_gaps += 1,
+            (Warning::TimeJump { .. }, _) => resets.time_jumps += 1,
+            (Warning::ClockStep { .. }, _) => resets.clock_steps += 1,
+            (Warning::Shock { .. }, _) => resets.shocks += 1,
+            (Warning::LockOutRecovered { .. }, _) => resets.recoveries += 1,
+            (Warning::Diverged { .. }, _) => resets.divergences += 1,
+            (Warning::EncoderStep { .. }, _) => resets.encoder_steps += 1,
+            (Warning::TimeOffset { .. }, _) => resets.time_offsets += 1,
+            _ => {}
         }
-        self.warn(why);
+        self.out.push_back(Output::Warning(warning));
     }
 
     /// Takes over what a reset keeps.

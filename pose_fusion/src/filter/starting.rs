@@ -98,7 +98,6 @@ impl Filter {
             if ahead < 0.0 {
                 // The clock was set back.
                 self.publisher.warn(Warning::TimeJump { by_s: -ahead });
-                self.publisher.counts.resets.time_jumps += 1;
                 self.reset();
             } else {
                 // Neither images nor samples for a while: the image initializes the pose.
@@ -330,7 +329,6 @@ impl Filter {
         let mut state = start.state;
         carry_over(&mut state, &old, self.start.searches_again);
         state.climber_acceleration = old.climber_acceleration;
-        self.publisher.counts.resets.recoveries += 1;
         self.monitor.initialized(stamp);
         self.publisher.warn(Warning::LockOutRecovered { since, stamp });
         self.set_state(at, state);

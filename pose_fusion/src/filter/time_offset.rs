@@ -206,7 +206,6 @@ impl Filter {
             (near || settled) && away < AGREES * sigma
         };
         if first || !agrees {
-            self.publisher.counts.resets.time_offsets += 1;
             self.publisher.warn(Warning::TimeOffset { offset_s: found.offset });
         }
         if agrees || !self.is_started() {
