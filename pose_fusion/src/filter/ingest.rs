@@ -226,14 +226,8 @@ impl Filter {
     fn markers(&mut self, observations: &MarkerObservations) {
         let stamp = observations.stamp;
         self.publisher.counts.inputs.images += 1;
-        let pixels = markers::pixels(
-            observations,
-            &self.setup.config.markers,
-            self.images.pixel_noise.factor,
-            |warning| {
-                self.publisher.warn(warning);
-            },
-        );
+        let (config, noise) = (&self.setup.config.markers, self.images.pixel_noise.factor);
+        let pixels = markers::pixels(observations, config, noise, |w| self.publisher.warn(w));
         self.start.markers_seen = pixels.iter().flatten().count();
         if self.images.stamps.contains(&stamp) {
             return self.publisher.warn(Warning::Duplicate { from: Source::Image, stamp });
@@ -301,11 +295,10 @@ impl Filter {
 
     /// Takes in an encoder reading.
     fn climber(&mut self, sample: &ClimberSample) {
-        let (pose, stamp, from) = (&sample.world_from_climber, sample.stamp, Source::Encoders);
-        let numbers = pose.translation.vector.iter().chain(pose.rotation.coords.iter());
-        if !numbers.into_iter().all(|x| x.is_finite()) {
+        let (stamp, from) = (sample.stamp, Source::Encoders);
+        let Some((values, rest)) = ClimberHeightTilt::split(&sample.world_from_climber) else {
             return self.publisher.warn(Warning::NotFinite { from, stamp, what: "the pose" });
-        }
+        };
         self.note_arrival(from, stamp);
         if let Some(by_s) = self.arrival.other(from, stamp) {
             return self.publisher.warn(Warning::Jump { from, stamp, by_s });
@@ -324,7 +317,6 @@ impl Filter {
         if newest.as_ref().is_some_and(from_the_future) {
             self.climber = ClimberTrack::new(&config.climber);
         }
-        let (values, rest) = ClimberHeightTilt::split(pose);
         let Some((variance, multiplicity)) = self.climber.add(stamp, values, rest) else {
             return self.publisher.warn(Warning::Duplicate { from, stamp });
         };

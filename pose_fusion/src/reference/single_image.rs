@@ -97,17 +97,13 @@ impl SingleImagePose {
 
     /// Takes in an encoder reading.
     fn climber(&mut self, sample: &ClimberSample) {
-        let pose = &sample.world_from_climber;
-        if !pose.translation.vector.iter().chain(pose.rotation.coords.iter()).all(|x| x.is_finite())
-        {
-            return;
-        }
+        let split = ClimberHeightTilt::split(&sample.world_from_climber);
+        let Some((values, rest)) = split else { return };
         // A looped bag starts again.
         let ahead = self.climber.newest().map(|(newest, ..)| newest.seconds_since(sample.stamp));
         if ahead.is_some_and(|ahead| ahead > 1.0) {
             self.reset();
         }
-        let (values, rest) = ClimberHeightTilt::split(pose);
         self.climber.add(sample.stamp, values, rest);
     }
 
