@@ -53,7 +53,7 @@ impl Visual {
 pub struct SingleImagePose {
     rig: Rig,
     camera: Option<CameraModel>,
-    ups: VerticalReferences,
+    verticals: VerticalReferences,
     climber: ClimberTrack,
     /// `world_from_volant` of the newest visual pose.
     last: Option<(Stamp, Isometry3<f64>)>,
@@ -66,7 +66,7 @@ impl SingleImagePose {
         Self {
             rig,
             camera: None,
-            ups: VerticalReferences::default(),
+            verticals: VerticalReferences::default(),
             climber: ClimberTrack::new(&config.tight.climber),
             last: None,
             config: config.clone(),
@@ -75,7 +75,7 @@ impl SingleImagePose {
 
     /// Discards everything but the camera.
     pub fn reset(&mut self) {
-        self.ups = VerticalReferences::default();
+        self.verticals = VerticalReferences::default();
         self.climber = ClimberTrack::new(&self.config.tight.climber);
         self.last = None;
     }
@@ -85,7 +85,7 @@ impl SingleImagePose {
         match input {
             Sample::Imu(sample) => {
                 if self.config.visual_use_gravity && self.config.model == Model::Tight {
-                    self.ups.add(sample, ATTITUDE_FLOOR);
+                    self.verticals.add(sample, ATTITUDE_FLOOR);
                 }
             }
             Sample::Markers(markers) => return self.estimate(markers),
@@ -125,7 +125,7 @@ impl SingleImagePose {
         } else {
             let mut found = planar_pose::candidates(&self.rig.markers, camera, &pixels, None);
             found.retain(within);
-            let up = self.ups.at(stamp.plus_seconds(self.config.tight.clock.camera_offset));
+            let up = self.verticals.at(stamp.plus_seconds(self.config.tight.clock.camera_offset));
             let cost = |c: &PlanarPose| {
                 let rotation = (world_from_camera * c.camera_from_volant).rotation;
                 let unlikely = match (up, last) {
