@@ -32,7 +32,7 @@ pub struct LayoutMisfit {
     count: f64,
     /// Images in a row that contradict a confirmed layout.
     contrary: u32,
-    /// Sigma of the markers' places, each axis, m, by images that contradict the layout; until used.
+    /// Sigma of the markers' places, each axis, m, by images that contradict them; until used.
     pub doubt: Option<f64>,
 }
 

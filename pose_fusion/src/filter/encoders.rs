@@ -157,8 +157,8 @@ impl Filter {
         suspected
     }
 
-    /// Suspends encoders that may be stuck: `axes` has since when each axis has stood, `since` is the
-    /// one from which readings are excluded (encoder time), `at` the instant of the image that
+    /// Suspends encoders that may be stuck: `axes` has since when each axis has stood, `since` is
+    /// the one from which readings are excluded (encoder time), `at` the instant of the image that
     /// contradicts (IMU time). Returns whether they are suspended: not if they already were, or were
     /// tried without for the same stop.
     pub(super) fn suspect_stuck(

@@ -278,8 +278,8 @@ impl Filter {
         let repeated = self.monitor.note_followed(stamp);
         self.search_again(record.agrees_with_itself());
         self.images.model_error.raise(CONTRADICTION_GROWTH, &MODEL_ERROR);
-        // An encoder that stopped while the images see the climber drive on is stuck, unless the time
-        // offset is what they contradict.
+        // An encoder that stopped while the images see the climber drive on is stuck, unless the
+        // time offset is what they contradict.
         let known = self.offset_doubt() <= OFFSET_DOUBTED;
         let earliest = at.plus_seconds(-self.encoder_offset() - SUSPECT);
         let stopped =

@@ -140,8 +140,8 @@ pub const STATUS_PERIOD: f64 = 0.1;
 pub struct StatusTimer(pub Option<Stamp>);
 
 impl StatusTimer {
-    /// Returns whether a status is due at an instant, and notes it: a period after the last one, and
-    /// after a jump of time.
+    /// Returns whether a status is due at an instant, and notes it: a period after the last one,
+    /// and after a jump of time.
     pub fn is_due(&mut self, now: Stamp) -> bool {
         let since = self.0.map_or(f64::INFINITY, |last| now.seconds_since(last));
         let due = !(0.0..STATUS_PERIOD).contains(&since);
