@@ -6,7 +6,7 @@ use crate::{
     health::{pose_status::PoseStatus, status::Status},
     initialization::checkpoint::{Checkpoint, Refusal},
     output::{Odometry, Output, PoseEstimate, Warning, rate_limit::RateLimit},
-    reference::{published_filter::PublishedFilter, single_image::SingleImagePose},
+    reference::{paper::Paper, single_image::SingleImagePose},
     timeline::arrival::Source,
 };
 /// One input, in the order of arrival.
@@ -28,7 +28,7 @@ fn stamp_of(input: &Input) -> Option<(Source, Stamp)> {
 #[allow(clippy::large_enum_variant)] // there is one
 enum Estimator {
     TightlyCoupled(Filter),
-    Paper(PublishedFilter),
+    Paper(Paper),
 }
 
 /// Estimator of the platform's pose: inputs in the order of arrival in, estimates out.
@@ -54,7 +54,7 @@ impl Fusion {
                     config.tight.clone(),
                     config.status.clone(),
                 )),
-                Model::Paper => Estimator::Paper(PublishedFilter::new(&rig, &config)),
+                Model::Paper => Estimator::Paper(Paper::new(&rig, &config)),
             },
             config,
             outputs: VecDeque::with_capacity(256),
@@ -77,16 +77,21 @@ impl Fusion {
         let visual = self.single_image.handle(&input);
         match &mut self.estimator {
             Estimator::TightlyCoupled(filter) => filter.handle(&input),
-            Estimator::Paper(paper) => self.outputs.extend(paper.handle(&input, visual.as_ref())),
+            Estimator::Paper(paper) => {
+                if let Some(odometry) = paper.handle(&input, visual.as_ref()) {
+                    let status = paper.pose_status(odometry.stamp);
+                    self.outputs.extend([Output::Odometry(odometry), Output::Status(status)]);
+                }
+            }
         }
         self.take_outputs();
         self.outputs.extend(visual.map(|visual| Output::VisualPose(visual.pose)));
         let Some((from, stamp)) = stamp else { return };
-        match &mut self.estimator {
-            Estimator::TightlyCoupled(filter) => filter.publish_status(),
-            Estimator::Paper(paper) => self.outputs.extend(paper.silence(from, stamp)),
-        }
-        self.take_outputs();
+        let status = match &mut self.estimator {
+            Estimator::TightlyCoupled(filter) => filter.due_status(),
+            Estimator::Paper(paper) => paper.due_status(from, stamp),
+        };
+        self.outputs.extend(status.map(Output::Status));
     }
 
     fn take_outputs(&mut self) {
@@ -126,7 +131,7 @@ impl Fusion {
                 filter.freeze(false);
                 filter.reset();
             }
-            Estimator::Paper(paper) => paper.filter.reset(),
+            Estimator::Paper(paper) => paper.reset(),
         }
     }
 
@@ -181,7 +186,7 @@ impl Fusion {
 
     /// Keeps from now on what [`Fusion::smoothed`] needs.
     pub fn keep_for_smoothing(&mut self) {
-        if let Estimator::TightlyCoupled(filter) = &mut self.estimator {
+        if let Ok(filter) = self.tight() {
             filter.keep_archive();
         }
     }
@@ -192,27 +197,20 @@ impl Fusion {
     /// A minute at a time with the knowledge of 20 s more, so that memory is bounded however long
     /// the run is.
     pub fn smoothed(&mut self, end: bool) -> Vec<Odometry> {
-        match &mut self.estimator {
-            Estimator::TightlyCoupled(filter) => filter.smoothed(end),
-            Estimator::Paper(_) => Vec::new(),
-        }
+        self.tight().map_or_else(|_| Vec::new(), |filter| filter.smoothed(end))
     }
 
     /// Returns why there is no estimate yet; empty where there is one.
     pub fn missing(&self) -> String {
         match &self.estimator {
-            Estimator::TightlyCoupled(filter) if filter.state().is_some() => String::new(),
             Estimator::TightlyCoupled(filter) => filter.missing(),
-            Estimator::Paper(paper) => paper.filter.missing().to_owned(),
+            Estimator::Paper(paper) => paper.missing().to_owned(),
         }
     }
 
     /// Whether the initialization waits for a topic without a usable message.
     pub fn waits_for_messages(&self) -> bool {
-        match &self.estimator {
-            Estimator::TightlyCoupled(filter) => !filter.absent().is_empty(),
-            Estimator::Paper(_) => false,
-        }
+        matches!(&self.estimator, Estimator::TightlyCoupled(filter) if !filter.absent().is_empty())
     }
 
     /// Returns the status at `now` where no input has come for `silence` seconds.
@@ -231,7 +229,7 @@ impl Fusion {
 
     /// Whether the published filter computes the attitude, which its IMU does not output.
     pub fn computes_attitude(&self) -> bool {
-        matches!(&self.estimator, Estimator::Paper(paper) if paper.filter.computes_attitude())
+        matches!(&self.estimator, Estimator::Paper(paper) if paper.computes_attitude())
     }
 
     /// Returns counters and insights for diagnostics.

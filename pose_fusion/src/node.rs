@@ -5,7 +5,9 @@ mod diagnostics;
 mod rejections;
 
 use crate::{
-    Fusion, Input, Model, Output, PoseStatus, RigCheck, Warning, messages,
+    Fusion, Input, Model, Output, PoseStatus, RigCheck, Warning,
+    health::pose_status::STATUS_PERIOD,
+    messages,
     parameters::FusionParameters,
     services::{self, Request},
 };
@@ -29,8 +31,6 @@ use volant_msgs::{
     nav_msgs, sensor_msgs,
 };
 
-/// Time between two status messages while there is no pose.
-const STATUS_PERIOD: Duration = Duration::from_millis(100);
 /// Beside two periods of `publish_rate`, time without a status after which inputs have ended, s.
 const ENDED: f64 = 0.35;
 
@@ -115,7 +115,7 @@ impl NodeShell for FusionNode {
         if parameters.publish_tf {
             context.advertise_transforms()?;
         }
-        context.timer(STATUS_PERIOD, || Event::StatusDue);
+        context.timer(Duration::from_secs_f64(STATUS_PERIOD), || Event::StatusDue);
         let (imu_frame, in_other_frame) = (frames.imu.clone(), Arc::new(AtomicBool::new(false)));
         let reported = in_other_frame.clone();
         context.subscribe(
@@ -333,7 +333,7 @@ impl FusionNode {
 
     /// Time since the estimator's newest status, s.
     fn silence(&self) -> f64 {
-        f64::from(self.quiet) * STATUS_PERIOD.as_secs_f64()
+        f64::from(self.quiet) * STATUS_PERIOD
     }
 
     /// Time since the estimator's newest status where its inputs have ended, s.

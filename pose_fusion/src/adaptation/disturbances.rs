@@ -12,9 +12,9 @@ use std::collections::VecDeque;
 /// Number of disturbances remembered; each is over when it leaves the history.
 const REMEMBERED: usize = 32;
 /// After a disturbance of the climber images do not count as contradictions, s.
-pub const SETTLING: f64 = 0.05;
+pub const CLIMBER_SETTLING: f64 = 0.05;
 /// Largest acceleration that a disturbance of the climber explains, m/s² and rad/s².
-const ACCELERATION: f64 = 30.0;
+const LARGEST_ACCELERATION: f64 = 30.0;
 
 /// Additional process noise in an interval.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -59,7 +59,7 @@ impl Disturbances {
             if residual * residual <= CONTRADICTION * innovation.covariance[(axis, axis)] {
                 return 0.0;
             }
-            let residual = residual.abs().min(ACCELERATION * span * span / 2.0);
+            let residual = residual.abs().min(LARGEST_ACCELERATION * span * span / 2.0);
             20.0 * residual * residual / span.powi(5)
         });
         self.push(Disturbance { from, to, jerk, force: 0.0, rate: 0.0 });
@@ -143,7 +143,8 @@ mod tests {
         assert_eq!(density(&disturbances, 0).jerk.x, 0.0);
         assert_eq!(density(&disturbances, 41).jerk.x, 0.0);
         assert!(!disturbances.add_jerk(at(80), at(120), &innovation(Vector3::zeros(), 1.0)));
-        let disturbed = [80, 100].map(|ms| disturbances.is_climber_disturbed(at(ms), SETTLING));
+        let disturbed =
+            [80, 100].map(|ms| disturbances.is_climber_disturbed(at(ms), CLIMBER_SETTLING));
         assert_eq!(disturbed, [true, false]);
         disturbances.add_shock(at(200), at(260), 0.005, 0.02);
         let noise = density(&disturbances, 250);

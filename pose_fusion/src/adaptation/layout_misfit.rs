@@ -8,7 +8,7 @@ use crate::measurements::markers::Offsets;
 const MEMORY: f64 = 30.0;
 const FEWEST: f64 = 15.0;
 /// Images after which a layout that they did not contradict is confirmed: three seconds.
-const CONFIRMED: f64 = 90.0;
+const LAYOUT_CONFIRMED: f64 = 90.0;
 /// A confirmed layout must be contradicted by this many images in a row, five seconds, by more than
 /// twice [`MISFIT`]: a false marker is beside its place for a shorter time.
 const REFUTED: u32 = 150;
@@ -32,6 +32,8 @@ pub struct LayoutMisfit {
     count: f64,
     /// Images in a row that contradict a confirmed layout.
     contrary: u32,
+    /// Sigma of the markers' places, each axis, m, by images that contradict them; until used.
+    pub doubt: Option<f64>,
 }
 
 /// Returns the sigma of the markers' places, each axis, m; `None` for a false marker.
@@ -51,11 +53,11 @@ impl LayoutMisfit {
         let mean = self.mean.norm_squared();
         let lasts = mean > LASTING * (self.square - mean) * weight;
         self.contrary = if own > 2.0 * MISFIT { self.contrary + 1 } else { 0 };
-        let confirmed = self.count > CONFIRMED;
+        let confirmed = self.count > LAYOUT_CONFIRMED;
         let due = if confirmed { self.contrary >= REFUTED } else { self.count >= FEWEST };
         let found = sigma(&self.mean).filter(|sigma| due && lasts && *sigma > MISFIT);
         if found.is_some() {
-            *self = Self::default();
+            *self = Self { doubt: found, ..Self::default() };
         }
         found
     }

@@ -3,9 +3,10 @@
 pub mod camera_shake;
 pub mod disturbances;
 pub mod encoder_noise;
-pub mod excess;
+pub mod images;
 pub mod imu_integrity;
 pub mod imu_noise;
+pub mod innovation_scale;
 pub mod layout_misfit;
 pub mod stamp_jitter;
 pub mod stationary;

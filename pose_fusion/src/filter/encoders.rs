@@ -4,8 +4,8 @@ use super::{Filter, time_offset::CLIMBER_NEAR};
 use crate::{
     ekf::state::CLIMBER_RATE,
     health::{
-        encoder_trust::{Cause, Seen, Verdict},
-        lock_out::SUSPECT,
+        contradiction_monitor::SUSPECT,
+        encoder_trust::{Cause, EncoderEvidence, Verdict},
     },
     input::climber_track::faults::STOOD,
     measurements::{
@@ -27,9 +27,9 @@ const MOVES: f64 = 5.0;
 /// Encoders are suspended that contradict although no reading has been used for this time, s.
 const UNUSED: f64 = 0.15;
 /// Residual beyond which the readings of suspended encoders have ever less weight, m and rad.
-const FAR: f64 = 0.1;
+const FAR_OFF: f64 = 0.1;
 /// Errors of their readings within this time are the same, s.
-const CORRELATED: f64 = 0.02;
+const CORRELATED_FOR: f64 = 0.02;
 
 impl Filter {
     /// Responds to an encoder reading. Returns whether the time line was replaced.
@@ -52,12 +52,12 @@ impl Filter {
                 self.climber.adapt_jerk(innovation.nis);
             }
             if !self.trust.is_suspended() {
-                self.publisher.note_encoders(at);
+                self.publisher.last_encoders = self.publisher.last_encoders.max(Some(at));
             }
             return false;
         }
         if self.trust.is_suspended() {
-            // One that was used loosely, and is processed again.
+            // One that was used with inflated noise, and is processed again.
             self.set_excluded(place, true);
             return false;
         }
@@ -92,23 +92,23 @@ impl Filter {
             let sigmas = entry.state.sigmas(CLIMBER_RATE);
             (0..3).any(|i| stands[i] && entry.state.climber_rate[i].abs() > MOVES * sigmas[i])
         });
-        let standing = moves || stands == [true; 3] || self.climber.may_be_frozen();
+        let standing = moves || stands == [true; 3] || self.climber.may_be_stuck();
         let read = self.read_at(place).unwrap_or(at);
         let (moves_on, leap) = (self.climber.moves_on(read), self.climber.leap_at(read));
         let (axis_stands, since) = (stands.contains(&true), self.climber.standing_since());
         let suspended = self.trust.suspended_since().unwrap_or(at);
         let earliest = suspended.plus_seconds(-self.encoder_offset() - SUSPECT);
         let axis_stopped = (0..3).any(|i| stands[i] && since[i].is_some_and(|s| s > earliest));
-        let seen = Seen { standing, axis_stands, axis_stopped, moves, moves_on, leap };
+        let seen = EncoderEvidence { standing, axis_stands, axis_stopped, moves, moves_on, leap };
         match self.trust.judge(at, innovation.nis, &innovation.residual, seen, timeout) {
             Verdict::Exclude => {
                 if !standing && self.trust.cause() != Some(Cause::Leap) {
-                    self.use_loosely(place, innovation);
+                    self.use_with_inflated_noise(place, innovation);
                 }
                 false
             }
             Verdict::Resume => {
-                self.climber.clear_frozen();
+                self.climber.clear_stuck();
                 self.set_excluded(place, false);
                 self.history.rewind(place);
                 self.publisher.warn(Warning::EncodersResumed { stamp: at });
@@ -117,10 +117,9 @@ impl Filter {
             // No image could initialize the pose.
             Verdict::Adopt if self.setup.frozen => false,
             Verdict::Adopt => {
-                self.climber.clear_frozen();
-                self.publisher.counts.resets.encoder_steps += 1;
+                self.climber.clear_stuck();
                 self.publisher.warn(Warning::EncoderStep { stamp: at });
-                self.lock_out.replaced(at.plus_seconds(-self.time_offset()));
+                self.monitor.replaced(at.plus_seconds(-self.time_offset()));
                 self.restart();
                 self.publisher.continuity.reset();
                 true
@@ -129,14 +128,14 @@ impl Filter {
     }
 
     /// Uses a reading of suspended encoders that move with a sigma as large as its residual, and
-    /// larger beyond [`FAR`]: readings that are late bound the drift of the climber, and those that
-    /// are far off have no weight. All readings within [`CORRELATED`] count as one.
-    fn use_loosely(&mut self, place: usize, innovation: &Innovation<3>) {
-        let count = self.climber.readings_in(CORRELATED);
+    /// larger beyond [`FAR_OFF`]: readings that are late bound the drift of the climber, and those
+    /// that are far off have no weight. All readings within [`CORRELATED_FOR`] count as one.
+    fn use_with_inflated_noise(&mut self, place: usize, innovation: &Innovation<3>) {
+        let count = self.climber.readings_in(CORRELATED_FOR);
         if let Some(entry) = self.history.get_mut(place)
             && let Event::Encoders { reading, excluded, .. } = &mut entry.event
         {
-            let sigmas = innovation.residual.map(|r| r.abs() * (r.abs() / FAR).max(1.0));
+            let sigmas = innovation.residual.map(|r| r.abs() * (r.abs() / FAR_OFF).max(1.0));
             reading.variance = reading.variance.sup(&(sigmas.component_mul(&sigmas) * count));
             *excluded = false;
         }
@@ -144,25 +143,25 @@ impl Filter {
     }
 
     /// Continues without encoders of which one stands, where the images contradict the prediction:
-    /// it may be frozen while the climber drives. Returns whether it does.
+    /// it may be stuck while the climber drives. Returns whether it does.
     pub(super) fn try_without_encoders(&mut self, at: Stamp) -> bool {
         let read = at.plus_seconds(-self.encoder_offset());
         let stood = |since: &Stamp| read.seconds_since(*since) > STOOD;
         let standing = self.climber.standing_since().map(|since| since.filter(stood));
         let Some(since) = standing.into_iter().flatten().max() else { return false };
-        let suspected = self.suspect_frozen(standing, since, at);
+        let suspected = self.suspect_stuck(standing, since, at);
         if suspected {
             self.trust.note_trial(at);
-            self.imu.model_error = Default::default();
+            self.images.model_error = Default::default();
         }
         suspected
     }
 
-    /// Suspends encoders that may be frozen: `axes` has since when each axis has stood, `since` is the
-    /// one from which readings are excluded (encoder time), `at` the instant of the image that
+    /// Suspends encoders that may be stuck: `axes` has since when each axis has stood, `since` is
+    /// the one from which readings are excluded (encoder time), `at` the instant of the image that
     /// contradicts (IMU time). Returns whether they are suspended: not if they already were, or were
     /// tried without for the same stop.
-    pub(super) fn suspect_frozen(
+    pub(super) fn suspect_stuck(
         &mut self,
         axes: [Option<Stamp>; 3],
         since: Stamp,
@@ -172,10 +171,10 @@ impl Filter {
         // Without the IMU images do not tell the climber's motion from the platform's.
         let suspected = self.trust.may_suspect(from, at) && !self.arrival.is_imu_silent();
         if suspected {
-            self.climber.suspect_frozen(axes);
+            self.climber.suspect_stuck(axes);
             self.exclude_since(from);
-            self.publisher.warn(Warning::EncodersFrozen { since });
-            self.trust.suspend(at, Cause::Frozen, false);
+            self.publisher.warn(Warning::EncodersStuck { since });
+            self.trust.suspend(at, Cause::Stuck, false);
         }
         suspected
     }

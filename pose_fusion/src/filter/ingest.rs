@@ -1,17 +1,17 @@
 //! Inputs of the filter: each message is checked and put in its place on the time line.
 
-use super::{Filter, processing::OFFSET_KNOWN};
+use super::{Filter, processing::OFFSET_DOUBTED};
 use crate::{
     adaptation::{imu_integrity::ImuIntegrity, stamp_jitter},
     ekf::{propagation::ImuReading, state::ATTITUDE},
-    input::{climber_track::ClimberTrack, imu_stamps::Bursts},
+    input::{climber_track::ClimberTrack, imu_stamps::Bursts, markers},
     measurements::{
         Outcome, encoders::EncoderReading, geometry::ClimberHeightTilt, markers::Image,
     },
     output::Warning,
     timeline::{
         arrival::{AHEAD, ImuArrival, JUMP, Source},
-        dropout::{GAP, INTERPOLATED},
+        dropout::{BRIDGED, GAP},
         history::{CAPACITY, Entry, Event},
     },
 };
@@ -40,7 +40,7 @@ impl Filter {
 
     /// Counts an input that is rejected, and outputs why.
     pub fn reject(&mut self, why: Warning) {
-        self.publisher.reject(why);
+        self.publisher.warn(why);
     }
 
     /// Returns the stamp with which an IMU sample counts. Where it turns out that the samples come
@@ -61,14 +61,14 @@ impl Filter {
     fn imu(&mut self, sample: &ImuSample) {
         let (from, stamp, reading) = (Source::Imu, sample.stamp, ImuReading::from(sample));
         if let Err(what) = ImuIntegrity::check(&reading) {
-            return self.publisher.reject(Warning::NotFinite { from, stamp, what });
+            return self.publisher.warn(Warning::NotFinite { from, stamp, what });
         }
         match self.arrival.classify(stamp) {
             ImuArrival::First => self.newer_imu(sample, reading, None),
             ImuArrival::Next(dt) => self.newer_imu(sample, reading, Some(dt)),
             ImuArrival::NotNewer => self.late_imu(sample, reading),
             ImuArrival::Unconfirmed(ahead_s) => {
-                self.publisher.reject(if ahead_s < 0.0 {
+                self.publisher.warn(if ahead_s < 0.0 {
                     Warning::TooOld { from, stamp, age_s: -ahead_s }
                 } else {
                     Warning::Ahead { from, stamp, ahead_s }
@@ -91,7 +91,6 @@ impl Filter {
         let offset = self.time_offset();
         self.imu.clocks.imu(sample.stamp, -by_s, offset);
         self.publisher.warn(Warning::TimeJump { by_s });
-        self.publisher.counts.resets.time_jumps += 1;
         self.reset();
         self.next_imu(sample, reading, None);
     }
@@ -101,7 +100,6 @@ impl Filter {
         let offset = self.time_offset();
         let Some(step) = self.imu.clocks.message(source, stamp, offset) else { return };
         self.publisher.warn(Warning::ClockStep { by_s: step.by });
-        self.publisher.counts.resets.clock_steps += 1;
         if self.setup.config.clock.camera_sigma > 0.0 {
             let before = self.setup.stepped.unwrap_or(step.offset);
             self.setup.stepped = Some(before + step.by);
@@ -126,34 +124,33 @@ impl Filter {
             // Held back until after an image alone had initialized the pose, or of a clock that is
             // behind: the pose goes on without it until its stamps have come to the images'.
             let behind_s = first.stamp.seconds_since(sample.stamp);
-            return self.publisher.reject(Warning::BehindImages { stamp: sample.stamp, behind_s });
+            return self.publisher.warn(Warning::BehindImages { stamp: sample.stamp, behind_s });
         }
         let mut dt = dt;
         if let (Some(seconds), Some((from, _))) =
             (dt.filter(|dt| *dt > GAP), self.arrival.newest_imu())
         {
-            self.publisher.counts.inputs.imu_gaps += 1;
             self.publisher.warn(Warning::ImuGap { from, to: sample.stamp });
             self.imu.interrupt();
-            if let (Some(search), true) = (&mut self.search, seconds > INTERPOLATED) {
+            if let (Some(search), true) = (&mut self.search, seconds > BRIDGED) {
                 search.clear();
             }
             let covered = self.publisher.markers_used == 4
                 && (self.arrival.end())
-                    .is_some_and(|end| sample.stamp.seconds_since(end) < INTERPOLATED);
+                    .is_some_and(|end| sample.stamp.seconds_since(end) < BRIDGED);
             // What neither samples nor images with four markers have followed is not bridged where
             // an image can reinitialize the pose (three markers may have followed the mirrored
             // tilt; a frozen filter uses none), and an attitude that is hardly known is no point
             // to linearize at.
             let unknown = self.state().is_some_and(|s| s.sigmas(ATTITUDE).max() > LARGEST_ATTITUDE);
-            let unfollowed = seconds > INTERPOLATED && !covered && self.start.markers_seen >= 3;
+            let unfollowed = seconds > BRIDGED && !covered && self.start.markers_seen >= 3;
             if self.is_started() && !self.setup.frozen && (unfollowed || unknown) {
                 self.restart();
                 dt = None;
             }
         }
         let mounting = &self.setup.rig.imu;
-        let event = self.imu.event(&reading, dt, mounting);
+        let event = self.imu.event(&reading, dt, mounting, self.images.model_error.factor);
         if let Some(more) = self.imu.newly_known_noise(mounting) {
             self.reweigh_samples(&more);
         }
@@ -162,7 +159,7 @@ impl Filter {
         self.publisher.note_now(sample.stamp);
         // While the time offset is not known, images contradict the samples, and an image that was
         // first processed without them is not judged again.
-        if self.offset_doubt() <= OFFSET_KNOWN {
+        if self.offset_doubt() <= OFFSET_DOUBTED {
             self.interpolate_again(place);
         }
         self.arrival.imu(sample.stamp, reading);
@@ -198,17 +195,17 @@ impl Filter {
         let before = self.history.before(place).take_while(|entry| entry.stamp == stamp);
         let same = before.filter(|entry| entry.is_imu()).map(|entry| entry.reading).next();
         if same == Some(reading) {
-            return self.publisher.reject(Warning::Duplicate { from: Source::Imu, stamp });
+            return self.publisher.warn(Warning::Duplicate { from: Source::Imu, stamp });
         }
         if let Some(by_s) = self.arrival.late_imu(stamp, self.fills_gap(place)) {
             return self.set_back(sample, reading, by_s);
         }
         if same.is_some() {
-            return self.publisher.reject(Warning::Duplicate { from: Source::Imu, stamp });
+            return self.publisher.warn(Warning::Duplicate { from: Source::Imu, stamp });
         }
         if place == 0 {
             let age_s = self.age(stamp);
-            return self.publisher.reject(Warning::TooOld { from: Source::Imu, stamp, age_s });
+            return self.publisher.warn(Warning::TooOld { from: Source::Imu, stamp, age_s });
         }
         self.publisher.counts.inputs.late_imu += 1;
         let noise = self.imu.densities(&self.setup.rig.imu);
@@ -229,19 +226,15 @@ impl Filter {
     fn markers(&mut self, observations: &MarkerObservations) {
         let stamp = observations.stamp;
         self.publisher.counts.inputs.images += 1;
-        let mut unusable = 0;
-        let pixels = self.markers.pixels(observations, &self.setup.config.markers, |warning| {
-            unusable += 1;
-            self.publisher.warn(warning);
-        });
-        self.publisher.counts.rejected.markers += unusable;
+        let (config, noise) = (&self.setup.config.markers, self.images.pixel_noise.factor);
+        let pixels = markers::pixels(observations, config, noise, |w| self.publisher.warn(w));
         self.start.markers_seen = pixels.iter().flatten().count();
-        if self.markers.stamps.contains(&stamp) {
-            return self.publisher.reject(Warning::Duplicate { from: Source::Image, stamp });
+        if self.images.stamps.contains(&stamp) {
+            return self.publisher.warn(Warning::Duplicate { from: Source::Image, stamp });
         }
         self.note_arrival(Source::Image, stamp);
         if let Some(by_s) = self.arrival.other(Source::Image, stamp) {
-            self.publisher.reject(Warning::Jump { from: Source::Image, stamp, by_s });
+            self.publisher.warn(Warning::Jump { from: Source::Image, stamp, by_s });
             return self.publisher.skip(stamp, &pixels, Outcome::Rejected);
         }
         let silent = self.arrival.is_imu_silent();
@@ -253,10 +246,10 @@ impl Filter {
         let ahead_s =
             newest.map_or(0.0, |newest| stamp.plus_seconds(camera_offset).seconds_since(newest));
         if ahead_s > AHEAD && !silent {
-            self.publisher.reject(Warning::Ahead { from: Source::Image, stamp, ahead_s });
+            self.publisher.warn(Warning::Ahead { from: Source::Image, stamp, ahead_s });
             return self.publisher.skip(stamp, &pixels, Outcome::Rejected);
         }
-        self.markers.remember(stamp);
+        self.images.remember(stamp);
         self.publisher.note_now(stamp.plus_seconds(self.time_offset()));
         if silent {
             self.follow_without_imu(stamp);
@@ -271,22 +264,22 @@ impl Filter {
         let time_offset = self.time_offset();
         let at = stamp.plus_seconds(time_offset);
         if self.history.get(0).is_none_or(|first| at <= first.stamp) {
-            self.publisher.reject(Warning::TooOld { from: Source::Image, stamp, age_s: -ahead_s });
+            self.publisher.warn(Warning::TooOld { from: Source::Image, stamp, age_s: -ahead_s });
             return self.publisher.skip(stamp, &pixels, Outcome::Rejected);
         }
         let Some((_, _, rest)) = self.climber.newest().copied() else {
             return self.publisher.skip(stamp, &pixels, Outcome::NotInitialized);
         };
-        let jitter = stamp_jitter::sigma(&self.markers.stamps);
+        let jitter = stamp_jitter::sigma(&self.images.stamps);
         let stamp_sigma = jitter.min(self.setup.config.clock.image_jitter);
-        let layout_doubt = self.markers.layout_doubt.take();
+        let layout_doubt = self.images.layout.doubt.take();
         if let (Some(_), Some(search)) = (layout_doubt, &mut self.search) {
             // The image poses that it has are tilted by the layout's error.
             search.clear();
         }
         let mut image = Image::new(&pixels, time_offset, rest);
         image.stamp_sigma = stamp_sigma as f32;
-        image.shake = self.markers.shake.variance().map(|v| v as f32).into();
+        image.shake = self.images.shake.variance().map(|v| v as f32).into();
         image.layout_doubt = layout_doubt.map(|sigma| sigma as f32);
         let event = Event::Image { image, stamp, fresh: true, apply: !self.setup.frozen };
         self.history.insert(at, event, ImuReading::default());
@@ -302,21 +295,20 @@ impl Filter {
 
     /// Takes in an encoder reading.
     fn climber(&mut self, sample: &ClimberSample) {
-        let (pose, stamp, from) = (&sample.world_from_climber, sample.stamp, Source::Encoders);
-        let numbers = pose.translation.vector.iter().chain(pose.rotation.coords.iter());
-        if !numbers.into_iter().all(|x| x.is_finite()) {
-            return self.publisher.reject(Warning::NotFinite { from, stamp, what: "the pose" });
-        }
+        let (stamp, from) = (sample.stamp, Source::Encoders);
+        let Some((values, rest)) = ClimberHeightTilt::split(&sample.world_from_climber) else {
+            return self.publisher.warn(Warning::NotFinite { from, stamp, what: "the pose" });
+        };
         self.note_arrival(from, stamp);
         if let Some(by_s) = self.arrival.other(from, stamp) {
-            return self.publisher.reject(Warning::Jump { from, stamp, by_s });
+            return self.publisher.warn(Warning::Jump { from, stamp, by_s });
         }
         let config = &self.setup.config;
         let offset = self.setup.camera_offset + config.clock.climber_offset;
         let imu = self.arrival.newest_imu().filter(|_| !self.arrival.is_imu_silent());
         let ahead = |at: Stamp| imu.map(|(imu, _)| at.plus_seconds(offset).seconds_since(imu));
         if let Some(ahead_s) = ahead(stamp).filter(|ahead_s| *ahead_s > AHEAD) {
-            return self.publisher.reject(Warning::Ahead { from, stamp, ahead_s });
+            return self.publisher.warn(Warning::Ahead { from, stamp, ahead_s });
         }
         let newest = self.climber.newest().map(|(newest, _, _)| *newest);
         let from_the_future = |newest: &Stamp| {
@@ -325,9 +317,8 @@ impl Filter {
         if newest.as_ref().is_some_and(from_the_future) {
             self.climber = ClimberTrack::new(&config.climber);
         }
-        let (values, rest) = ClimberHeightTilt::split(pose);
         let Some((variance, multiplicity)) = self.climber.add(stamp, values, rest) else {
-            return self.publisher.reject(Warning::Duplicate { from, stamp });
+            return self.publisher.warn(Warning::Duplicate { from, stamp });
         };
         if self.climber.noise.is_young() {
             self.reweigh_readings(&variance);
@@ -338,7 +329,7 @@ impl Filter {
         self.climber.note_latency(end.seconds_since(at));
         if self.is_started() && self.history.get(0).is_none_or(|first| at <= first.stamp) {
             let age_s = self.age(stamp);
-            return self.publisher.reject(Warning::TooOld { from, stamp, age_s });
+            return self.publisher.warn(Warning::TooOld { from, stamp, age_s });
         }
         let reading = EncoderReading {
             values,
@@ -351,7 +342,7 @@ impl Filter {
         if ahead_s > AHEAD && self.history.len() > CAPACITY / 2 {
             // For a long time neither IMU samples nor images have come, which would process it: it
             // must not push out the newest state.
-            return self.publisher.reject(Warning::NotKept { from, stamp, ahead_s });
+            return self.publisher.warn(Warning::NotKept { from, stamp, ahead_s });
         }
         let event = Event::Encoders { reading, excluded: self.trust.is_suspended(), fresh: true };
         self.history.insert(at, event, ImuReading::default());
@@ -376,7 +367,7 @@ impl Filter {
             && self.history.get(1).is_some_and(|n| n.stamp < oldest)
         {
             if started {
-                self.publisher.archive(self.history.get(0));
+                self.publisher.archive.add(self.history.get(0));
             }
             self.history.drop_first();
         }

@@ -8,21 +8,22 @@ mod ingest;
 mod operator;
 mod processing;
 mod publish;
+mod readiness;
 mod reweighing;
 mod starting;
 mod time_offset;
 
 use crate::{
-    adaptation::disturbances::Disturbances,
+    adaptation::{disturbances::Disturbances, images::ImageAdaptation},
     config::{StatusConfig, TightConfig},
-    ekf::state::State,
+    ekf::{consider::Uncertainty, state::State},
     health::{
+        contradiction_monitor::ContradictionMonitor,
         encoder_trust::EncoderTrust,
-        lock_out::LockOut,
         status::{EncoderStatus, Status, TimeOffsetStatus},
     },
     initialization::time_offset::TimeOffsetSearch,
-    input::{climber_track::ClimberTrack, imu::ImuInput, markers::MarkerInput},
+    input::{climber_track::ClimberTrack, imu::ImuInput},
     measurements::geometry::Geometry,
     timeline::{arrival::Arrival, history::History},
 };
@@ -37,11 +38,11 @@ pub struct Filter {
     arrival: Arrival,
     history: History,
     imu: ImuInput,
-    markers: MarkerInput,
+    images: ImageAdaptation,
     climber: ClimberTrack,
     disturbances: Disturbances,
     trust: EncoderTrust,
-    lock_out: LockOut,
+    monitor: ContradictionMonitor,
     search: Option<TimeOffsetSearch>,
     start: Start,
     publisher: Publisher,
@@ -54,6 +55,8 @@ struct Setup {
     config: TightConfig,
     status: StatusConfig,
     geometry: Option<Geometry>,
+    /// Sigmas of what the rig file says.
+    calibration: Uncertainty,
     frozen: bool,
     /// Configured time offset of the camera with the steps of the clocks since, s.
     camera_offset: f64,
@@ -64,29 +67,29 @@ struct Setup {
 impl Filter {
     /// Creates a filter without an estimate.
     pub fn new(rig: Rig, config: TightConfig, status: StatusConfig) -> Self {
-        let camera_offset = config.clock.camera_offset;
         let setup = Setup {
+            camera_offset: config.clock.camera_offset,
+            calibration: Uncertainty::new(&config.calibration, &rig.markers),
             rig,
             config,
             status,
             geometry: None,
             frozen: false,
-            camera_offset,
             stepped: None,
         };
-        let (rig, config) = (&setup.rig, &setup.config);
+        let config = &setup.config;
         Self {
             arrival: Arrival::default(),
             history: History::default(),
             imu: ImuInput::default(),
-            markers: MarkerInput::default(),
+            images: ImageAdaptation::default(),
             climber: ClimberTrack::new(&config.climber),
             disturbances: Disturbances::default(),
             trust: EncoderTrust::default(),
-            lock_out: LockOut::default(),
+            monitor: ContradictionMonitor::default(),
             search: search(config),
             start: Start::default(),
-            publisher: Publisher::new(config, rig),
+            publisher: Publisher::new(),
             setup,
         }
     }
@@ -156,8 +159,8 @@ impl Filter {
                 sigma: config.clock.camera_sigma,
                 searching: self.search.is_some(),
             },
-            pixel_noise_factor: self.markers.noise.factor.sqrt(),
-            rope: geometry.and_then(|g| self.publisher.rope.rope(&config.pendulum, g)),
+            pixel_noise_factor: self.images.pixel_noise.factor.sqrt(),
+            rope: geometry.and_then(|g| self.images.rope.rope(&config.pendulum, g)),
             counts: self.publisher.counts,
             ..Status::default()
         };

@@ -15,7 +15,7 @@ use nalgebra::{Matrix6, Vector3};
 use rig_model::{Stamp, topics};
 
 /// A restored time offset that is better known than this needs no search, s.
-const OFFSET_KNOWN: f64 = 5e-3;
+const RESTORED_OFFSET_KNOWN: f64 = 5e-3;
 
 impl Filter {
     /// See [`crate::Fusion::checkpoint`].
@@ -30,7 +30,7 @@ impl Filter {
         self.check("the checkpoint", &state)?;
         self.restart();
         self.publisher.continuity.reset();
-        let known = state.sigma(TIME_OFFSET) < OFFSET_KNOWN;
+        let known = state.sigma(TIME_OFFSET) < RESTORED_OFFSET_KNOWN;
         self.search = super::search(&self.setup.config).filter(|_| !known);
         (self.start.offset_doubt, self.start.searches_again) = (None, false);
         self.start.kept = Some(Box::new(state));

@@ -3,15 +3,15 @@
 use super::Filter;
 use crate::{
     adaptation::{
-        disturbances::SETTLING,
-        excess::{CONTRADICTED, MODEL_ERROR, PIXEL_NOISE},
+        disturbances::CLIMBER_SETTLING,
+        innovation_scale::{CONTRADICTION_GROWTH, MODEL_ERROR, PIXEL_NOISE},
     },
     ekf::{
         propagation::{Motion, ProcessNoise},
         state::{ATTITUDE, TIME_OFFSET, VELOCITY},
     },
     health::{
-        lock_out::{Response, SUSPECT},
+        contradiction_monitor::{Response, SUSPECT},
         sanity,
     },
     initialization::from_image,
@@ -35,7 +35,7 @@ const SHOCK_NIS: f64 = 26.12;
 const SHOCK_NIS_GATED: f64 = 31.83;
 /// Largest factor of the model error with which a gated image means a shock.
 const SUDDEN: f64 = 1.5;
-/// Mean square of innovations per degree of freedom from which standing encoders may be frozen.
+/// Mean square of innovations per degree of freedom from which standing encoders may be stuck.
 const DOUBTED: f64 = 1.4;
 /// Factor on the images that must contradict where their markers may disagree with each other.
 const DISAGREEING: u32 = 3;
@@ -48,7 +48,7 @@ const LARGEST_SHOCK: (f64, f64) = (0.2, 0.1);
 const UNCARRIED: f64 = 0.01;
 /// A time offset that is known worse than this explains a contradiction as well as a shock does, s,
 /// where the velocity is known to this, m/s.
-pub(super) const OFFSET_KNOWN: f64 = 0.01;
+pub(super) const OFFSET_DOUBTED: f64 = 0.01;
 const VELOCITY_KNOWN: f64 = 0.1;
 /// Longest time that the IMU carries the state past such images, s; an alignment takes 0.2 s.
 const CARRIED: f64 = 0.25;
@@ -73,8 +73,7 @@ impl Filter {
                 sanity::violation(&entry.state, &self.setup.config, self.setup.camera_offset)
             {
                 self.publisher.warn(Warning::Diverged { stamp: at, what });
-                self.publisher.counts.resets.divergences += 1;
-                self.lock_out.replaced(at.plus_seconds(-self.setup.camera_offset));
+                self.monitor.replaced(at.plus_seconds(-self.setup.camera_offset));
                 return self.reset_estimate();
             }
             let done = match (step, &mut entry.event) {
@@ -85,10 +84,10 @@ impl Filter {
                 (Step::Image(record, smoothing), Event::Image { image, stamp, fresh, .. }) => {
                     let (image, stamp) = (*image, *stamp);
                     if std::mem::take(fresh) {
-                        self.imu.smoothing = smoothing;
+                        self.history.smoothing = smoothing;
                         self.on_image(place, stamp, &image, &record)
                     } else {
-                        self.markers.shake.corrected(stamp, &record);
+                        self.images.shake.corrected(stamp, &record);
                         false
                     }
                 }
@@ -103,14 +102,14 @@ impl Filter {
     fn step(&mut self, end: Stamp) -> Option<(usize, Step)> {
         let config = &self.setup.config;
         let geometry = self.setup.geometry.as_ref()?;
-        let rope = self.publisher.rope.rope(&config.pendulum, geometry);
+        let rope = self.images.rope.rope(&config.pendulum, geometry);
         let context = Context {
             config,
             geometry,
             noise: self.process_noise(),
             disturbances: &self.disturbances,
             rope: rope.zip(self.climber.newest().map(|(_, _, rest)| *rest)),
-            noise_of_changes: self.imu.noise.noise_of_changes(self.imu.smoothing),
+            noise_of_changes: self.imu.noise.noise_of_changes(self.history.smoothing),
             imu_period: self.imu.noise.period(),
         };
         repropagation::step(&mut self.history, &context, end)
@@ -154,7 +153,7 @@ impl Filter {
         if self.setup.frozen {
             return false;
         }
-        self.markers.shake.add(stamp, record);
+        self.images.shake.add(stamp, record);
         if record.used >= 3 {
             self.compare_directions(place);
         }
@@ -167,10 +166,10 @@ impl Filter {
         let at = entry.stamp;
         // While the time offset is unknown, it contradicts a platform that sets off; the IMU
         // carries a state that it knows well until the offset is found.
-        let carried = self.lock_out.last_used.is_some_and(|l| stamp.seconds_since(l) < CARRIED);
+        let carried = self.monitor.last_used.is_some_and(|l| stamp.seconds_since(l) < CARRIED);
         let moves_off = carried
             && !self.start.searches_again
-            && self.offset_doubt() > OFFSET_KNOWN
+            && self.offset_doubt() > OFFSET_DOUBTED
             && entry.state.sigmas(VELOCITY).max() < VELOCITY_KNOWN;
         // A single marker may be false: it contradicts only an attitude that is not known.
         let seen = match image.detected() {
@@ -180,12 +179,12 @@ impl Filter {
         // Without readings the climber may have moved, which is no shock of the platform; later its
         // covariance explains that.
         let missing = self.encoders_missing_for(at).is_some_and(|age| age < UNREAD);
-        let excused = self.disturbances.is_climber_disturbed(at, SETTLING) || moves_off || missing;
-        let settled =
-            self.lock_out.initialized_at.is_some_and(|i| stamp.seconds_since(i) > SETTLED);
+        let excused =
+            self.disturbances.is_climber_disturbed(at, CLIMBER_SETTLING) || moves_off || missing;
+        let settled = self.monitor.initialized_at.is_some_and(|i| stamp.seconds_since(i) > SETTLED);
         if record.used >= 3 && !excused && settled {
             let c = &self.setup.config;
-            self.publisher.rope.compare(
+            self.images.rope.compare(
                 &c.pendulum,
                 geometry,
                 &entry.state,
@@ -194,19 +193,19 @@ impl Filter {
                 c.gravity,
             );
         }
-        let last_used = self.lock_out.last_used;
+        let last_used = self.monitor.last_used;
         let limit = self.setup.config.markers.lock_out_images;
-        let agrees = record.agrees_with_itself() && self.markers.agreed_before();
+        let agrees = record.agrees_with_itself() && self.images.agreed_before();
         // Encoders that just jumped may be what the image contradicts, and a shock
         // breaks a prediction that held until then: a marker that has been beside its prediction
         // is itself what is wrong.
         let rejected = record
             .markers
             .map(|marker| matches!(marker.outcome, Outcome::Gated | Outcome::Inconsistent));
-        let rejects = self.lock_out.rejects(rejected);
+        let rejects = self.monitor.rejects(rejected);
         let sudden = rejects
             && !self.disturbances.is_climber_disturbed(at, SUSPECT)
-            && self.imu.model_error.factor <= SUDDEN;
+            && self.images.model_error.factor <= SUDDEN;
         let is_shock = match record.used {
             4 => record.nis > SHOCK_NIS,
             _ => record.against_prediction.is_some_and(|nis| nis > SHOCK_NIS_GATED) && sudden,
@@ -216,9 +215,9 @@ impl Filter {
         }
         if let Some(misfit) = &record.misfit {
             if self.setup.config.calibration.marker > 0.0 {
-                self.markers.compare_layout(&misfit.offsets);
+                self.images.layout.add(&misfit.offsets);
             }
-            self.markers.add_misfit(&misfit.whitened, record.used < 4);
+            self.images.add_misfit(&misfit.whitened, record.used < 4);
         }
         let internal = match (&record.misfit, record.used) {
             (Some(misfit), 4) => Some(misfit.squared()),
@@ -229,39 +228,39 @@ impl Filter {
         // Images alone follow a swing roughly.
         let unpredicted = excused || self.arrival.is_imu_silent();
         if let (Some(internal), false) = (internal, unpredicted) {
-            let grows = self.imu.model_error.add(record.nis - internal, &MODEL_ERROR);
-            let doubted = self.imu.model_error.ratio > DOUBTED && self.search.is_none();
+            let grows = self.images.model_error.add(record.nis - internal, &MODEL_ERROR);
+            let doubted = self.images.model_error.ratio > DOUBTED && self.search.is_none();
             if (grows || doubted) && self.try_without_encoders(at) {
                 return false;
             }
-            if self.imu.model_error.factor > SUDDEN {
+            if self.images.model_error.factor > SUDDEN {
                 self.search_again(agrees && grows);
             }
         }
         let limit = if agrees || !settled { limit } else { DISAGREEING * limit };
-        let response = self.lock_out.note(stamp, seen, record.used, limit, excused);
+        let response = self.monitor.note(stamp, seen, record.used, limit, excused);
         if response != Response::None && self.trust.restore_after_contradiction(at) {
-            self.climber.clear_frozen();
+            self.climber.clear_stuck();
             self.publisher.warn(Warning::EncodersResumed { stamp: at });
-            self.lock_out.responded(stamp);
+            self.monitor.responded(stamp);
             return self.reinitialize(stamp, image, stamp, true);
         }
         // Markers that contradict each other as well are noisier than they claim.
         if let (Response::FollowImages(_), Some(misfit), false) =
             (response, &record.misfit, record.agrees_with_itself())
         {
-            self.markers.noise.raise(misfit.noise_factor(), &PIXEL_NOISE);
-            self.lock_out.clear();
+            self.images.pixel_noise.raise(misfit.noise_factor(), &PIXEL_NOISE);
+            self.monitor.clear();
             return false;
         }
         match response {
             Response::None => false,
             Response::FollowImages(since) => {
-                self.lock_out.responded(stamp);
+                self.monitor.responded(stamp);
                 self.follow_images(place, stamp, image, record, (last_used.unwrap_or(since), since))
             }
             Response::Reinitialize(since) => {
-                self.lock_out.responded(stamp);
+                self.monitor.responded(stamp);
                 self.reinitialize(stamp, image, since, true)
             }
         }
@@ -279,17 +278,17 @@ impl Filter {
     ) -> bool {
         let Some(entry) = self.history.get(place) else { return false };
         let at = entry.stamp;
-        let repeated = self.lock_out.note_followed(stamp);
+        let repeated = self.monitor.note_followed(stamp);
         self.search_again(record.agrees_with_itself());
-        self.imu.model_error.raise(CONTRADICTED, &MODEL_ERROR);
-        // An encoder that stopped while the images see the climber drive on is frozen, unless the time
-        // offset is what they contradict.
-        let known = self.offset_doubt() <= OFFSET_KNOWN;
+        self.images.model_error.raise(CONTRADICTION_GROWTH, &MODEL_ERROR);
+        // An encoder that stopped while the images see the climber drive on is stuck, unless the
+        // time offset is what they contradict.
+        let known = self.offset_doubt() <= OFFSET_DOUBTED;
         let earliest = at.plus_seconds(-self.encoder_offset() - SUSPECT);
         let stopped =
             self.climber.stopped_since().map(|axis| axis.filter(|s| known && *s > earliest));
         if let Some(since) = stopped.into_iter().flatten().min()
-            && self.suspect_frozen(stopped, since, at)
+            && self.suspect_stuck(stopped, since, at)
         {
             return false;
         }
@@ -297,7 +296,6 @@ impl Filter {
             return self.reinitialize(stamp, image, since, true);
         }
         self.add_shock_noise(place, last_used, record);
-        self.publisher.counts.resets.shocks += 1;
         self.publisher.warn(Warning::Shock { since, stamp });
         false
     }

@@ -2,19 +2,14 @@
 
 use super::Filter;
 use crate::{
-    config::TightConfig,
-    ekf::{
-        consider::{TIME_OFFSET_ERROR, Uncertainty},
-        state::State,
-    },
+    ekf::{consider::TIME_OFFSET_ERROR, state::State},
     health::{
-        pose_status::{CONTRADICTED, PoseState, PoseStatus},
+        pose_status::{CONTRADICTED_REASON, PoseState, PoseStatus, StatusTimer},
         status::Counts,
     },
     measurements::{
         Innovation, Outcome,
         markers::{ImageInnovation, Pixels},
-        rope::RopeIdentification,
     },
     output::{
         MarkerUpdates, Odometry, Output, Warning,
@@ -22,18 +17,13 @@ use crate::{
         largest_sigma,
         odometry::{Settings, odometry},
         prediction::{self, Changes},
-        smoother, swing,
+        smoother::Archive,
+        swing,
     },
-    timeline::{
-        arrival::{JUMP, Source},
-        history::Entry,
-    },
+    timeline::arrival::{JUMP, Source},
 };
-use rig_model::{PerColor, Rig, Stamp, topics};
+use rig_model::{PerColor, Stamp};
 use std::collections::VecDeque;
-
-/// Time between two status messages while there is no pose, s.
-const STATUS_PERIOD: f64 = 0.1;
 
 /// After a silence of the IMU its samples carry the pose from the next image on, or after this
 /// time, s: until then the angular velocity between the last image and the first sample is not
@@ -43,17 +33,15 @@ const RESUMING: f64 = 0.3;
 /// Without a pose for longer than this a status alone is published, s.
 const SILENT: f64 = 0.3;
 
-/// Length of a batch of smoothed odometry, s.
-const SMOOTHED: f64 = 60.0;
-/// Later data that a smoothed estimate knows at least, s: biases and time offset are found in less.
-const LAG: f64 = 20.0;
-
 /// A pose is not reported as lost while its second image is expected, s.
 const SECOND_IMAGE: f64 = 1.0;
 
 /// What is missing.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Silence {
+    /// When the filter last had no pose, until the first odometry after that.
+    awaited: Option<Stamp>,
+    status_timer: StatusTimer,
     /// That the pose is LOST was reported.
     pose_lost: bool,
     imu_lost: bool,
@@ -66,61 +54,53 @@ pub(super) struct Silence {
 pub(super) struct Publisher {
     pub counts: Counts,
     pub continuity: Continuity,
-    pub rope: RopeIdentification,
     pub position_sigma: f64,
     changes: Changes,
-    calibration: Uncertainty,
     /// Newest instant of the inputs, IMU time.
     now: Option<Stamp>,
     last_published: Option<Stamp>,
-    /// When the filter last had no pose, until the first odometry after that.
-    awaited: Option<Stamp>,
+    /// IMU time of the newest encoder reading that was used.
     pub(super) last_encoders: Option<Stamp>,
     pub(super) markers_used: u8,
-    last_status: Option<Stamp>,
     silence: Silence,
-    archive: Option<Vec<Entry>>,
+    /// Entries for the smoother.
+    pub archive: Archive,
     out: VecDeque<Output>,
 }
 
 impl Publisher {
-    pub fn new(config: &TightConfig, rig: &Rig) -> Self {
-        Self {
-            position_sigma: f64::INFINITY,
-            calibration: Uncertainty::new(&config.calibration, &rig.markers),
-            out: VecDeque::with_capacity(256),
-            ..Self::default()
-        }
+    pub fn new() -> Self {
+        let out = VecDeque::with_capacity(256);
+        Self { position_sigma: f64::INFINITY, out, ..Self::default() }
     }
 
-    /// Outputs a warning.
+    /// Outputs a warning, and counts it.
     pub fn warn(&mut self, warning: Warning) {
-        self.out.push_back(Output::Warning(warning));
-    }
-
-    /// Counts an input that is rejected, and outputs why.
-    pub fn reject(&mut self, why: Warning) {
-        let Counts { inputs, rejected, .. } = &mut self.counts;
-        match (&why, why.origin()) {
+        let Counts { inputs, rejected, resets, .. } = &mut self.counts;
+        match (&warning, warning.origin()) {
             (Warning::Duplicate { .. }, _) => inputs.duplicates += 1,
+            (Warning::NotFinite { .. }, Some(Source::Image)) => rejected.markers += 1,
             (_, Some(Source::Imu)) => rejected.imu += 1,
             (_, Some(Source::Image)) => rejected.images += 1,
             (_, Some(Source::Encoders)) => rejected.climber += 1,
-            (_, None) => {}
+            (Warning::ImuGap { .. }, _) => inputs.imu_gaps += 1,
+            (Warning::TimeJump { .. }, _) => resets.time_jumps += 1,
+            (Warning::ClockStep { .. }, _) => resets.clock_steps += 1,
+            (Warning::Shock { .. }, _) => resets.shocks += 1,
+            (Warning::LockOutRecovered { .. }, _) => resets.recoveries += 1,
+            (Warning::Diverged { .. }, _) => resets.divergences += 1,
+            (Warning::EncoderStep { .. }, _) => resets.encoder_steps += 1,
+            (Warning::TimeOffset { .. }, _) => resets.time_offsets += 1,
+            _ => {}
         }
-        self.warn(why);
+        self.out.push_back(Output::Warning(warning));
     }
 
     /// Takes over what a reset keeps.
     pub fn keep_from(&mut self, former: &mut Publisher) {
         self.counts = former.counts;
-        self.archive = former.archive.take();
+        self.archive = std::mem::take(&mut former.archive);
         self.out = std::mem::take(&mut former.out);
-    }
-
-    /// Notes the IMU time of an encoder reading that was used.
-    pub fn note_encoders(&mut self, at: Stamp) {
-        self.last_encoders = self.last_encoders.max(Some(at));
     }
 
     /// Notes that the IMU is silent; true the first time.
@@ -132,13 +112,6 @@ impl Publisher {
     pub fn note_now(&mut self, at: Stamp) {
         let behind = self.now.filter(|now| (0.0..JUMP).contains(&now.seconds_since(at)));
         self.now = behind.or(Some(at));
-    }
-
-    /// Keeps an entry for the smoother.
-    pub fn archive(&mut self, entry: Option<&Entry>) {
-        if let Some(archive) = &mut self.archive {
-            archive.extend(entry.cloned());
-        }
     }
 
     /// Outputs the records of an image that is not processed.
@@ -181,7 +154,7 @@ impl Filter {
         }
         let (state, reading) = (&entry.state, &entry.reading);
         let silent = self.arrival.is_imu_silent();
-        let image = self.lock_out.last_used.map(|image| image.plus_seconds(state.time_offset));
+        let image = self.monitor.last_used.map(|image| image.plus_seconds(state.time_offset));
         if self.publisher.silence.imu_lost && !silent {
             let resumed = *self.publisher.silence.resumed.get_or_insert(end);
             let followed = image.is_some_and(|image| image >= resumed);
@@ -232,12 +205,12 @@ impl Filter {
         });
         self.publisher.position_sigma = position_sigma;
         self.publisher.last_published = Some(end);
-        self.publisher.awaited = None;
+        self.publisher.silence.awaited = None;
         self.publisher.silence.imu_lost &= silent;
         self.publisher.silence.resumed = None;
         let lost = status.state == PoseState::Lost;
         // Between the first image and the second the velocity is not known yet.
-        let second_due = self.lock_out.last_used == self.lock_out.initialized_at
+        let second_due = self.monitor.last_used == self.monitor.initialized_at
             && status.image_age < SECOND_IMAGE;
         if lost && !second_due && !self.publisher.silence.pose_lost {
             let reason = status.reason.clone();
@@ -256,7 +229,7 @@ impl Filter {
         if let Some(wrong) = self.trust.directions.wrong() {
             return Some(format!("images and IMU contradict the encoders: {wrong}"));
         }
-        self.lock_out.is_contradicted(camera).then(|| CONTRADICTED.to_owned())
+        self.monitor.is_contradicted(camera).then(|| CONTRADICTED_REASON.to_owned())
     }
 
     /// Returns the outputs that wait to be taken.
@@ -264,70 +237,43 @@ impl Filter {
         &mut self.publisher.out
     }
 
-    /// Outputs the status at 10 Hz of data time while there is no pose.
-    pub fn publish_status(&mut self) {
-        let Some(now) = self.publisher.now else { return };
-        let since = |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| now.seconds_since(s));
+    /// Returns the status where it is due while there is no odometry.
+    pub fn due_status(&mut self) -> Option<PoseStatus> {
+        let now = self.publisher.now?;
         let started = self.is_started();
         if !started {
-            self.publisher.awaited = Some(now);
+            self.publisher.silence.awaited = Some(now);
         }
-        let silent = since(self.publisher.awaited.or(self.publisher.last_published));
-        let due = !(0.0..STATUS_PERIOD).contains(&since(self.publisher.last_status));
-        if !due || (started && silent < SILENT) {
-            return;
+        if started && self.silence(now) < SILENT {
+            return None;
         }
-        self.publisher.last_status = Some(now);
+        self.publisher.silence.status_timer.is_due(now).then(|| self.pose_status(now))
+    }
+
+    /// Returns the status of a filter that outputs no odometry at an instant of IMU time.
+    fn pose_status(&self, now: Stamp) -> PoseStatus {
         let time_offset = self.time_offset();
-        let status = if started {
-            let reason = format!("no IMU sample and no image with markers for {silent:.1} s");
-            PoseStatus::lost(now, self.ages(now), time_offset, reason)
-        } else {
-            PoseStatus::initializing(now, time_offset, self.missing())
-        };
-        self.publisher.out.push_back(Output::Status(status));
+        if !self.is_started() {
+            return PoseStatus::initializing(now, time_offset, self.missing());
+        }
+        let silence = self.silence(now);
+        let reason = format!("no IMU sample and no image with markers for {silence:.1} s");
+        PoseStatus::lost(now, self.ages(now), time_offset, reason)
+    }
+
+    /// Returns the time since the newest odometry, or since there was no pose, s.
+    fn silence(&self, now: Stamp) -> f64 {
+        let last_output = self.publisher.silence.awaited.or(self.publisher.last_published);
+        last_output.map_or(f64::INFINITY, |last| now.seconds_since(last))
     }
 
     /// Ages of the newest used image, IMU sample and used encoder reading at an instant, s.
     fn ages(&self, at: Stamp) -> [f64; 3] {
         let offset = self.time_offset();
-        let image = self.lock_out.last_used.map(|image| image.plus_seconds(offset));
+        let image = self.monitor.last_used.map(|image| image.plus_seconds(offset));
         let imu = self.arrival.newest_imu().map(|(stamp, _)| stamp);
         let age = |stamp: Stamp| at.seconds_since(stamp).max(0.0);
         [image, imu, self.publisher.last_encoders].map(|stamp| stamp.map_or(f64::INFINITY, age))
-    }
-
-    /// Returns the topics without a usable message, which the initialization waits for.
-    pub fn absent(&self) -> Vec<&'static str> {
-        let camera = self.setup.geometry.is_none().then_some(topics::CAMERA_INFO);
-        let imu = self.arrival.newest_imu().is_none().then_some(topics::IMU);
-        let climber = self.climber.newest().is_none().then_some(topics::CLIMBER_TRANSFORM);
-        [camera, imu, climber].into_iter().flatten().collect()
-    }
-
-    /// Returns what the initialization waits for.
-    pub fn missing(&self) -> String {
-        let missing = self.absent();
-        if !missing.is_empty() {
-            format!("no message on {}", missing.join(", "))
-        } else if self.setup.frozen {
-            "markers are not used: call ~/freeze with false, or ~/reset".to_owned()
-        } else if let Some(force) = self.start.wrong_gravity {
-            format!(
-                "{}: linear_acceleration is {force:.2} m/s^2 upward on average, not {:.2}: its \
-                 unit (not g), sign, orientation, gravity removed?",
-                topics::IMU,
-                self.setup.config.gravity
-            )
-        } else if self.climber.leaps_now() {
-            format!(
-                "{}: the readings leap further than a climber moves: encoder, scale, second \
-                 publisher?",
-                topics::CLIMBER_TRANSFORM
-            )
-        } else {
-            "no image with three markers that fit together".to_owned()
-        }
     }
 
     /// Returns the uncertainty of the time offset beside the state's, while it is searched, s.
@@ -341,9 +287,9 @@ impl Filter {
 
     fn settings(&self) -> Settings {
         let densities = self.imu.densities(&self.setup.rig.imu);
-        let mut calibration = self.publisher.calibration;
+        let mut calibration = self.setup.calibration;
         // Lasting contradictions mean that the rig's files are wrong by more than their sigmas.
-        calibration.scale(self.imu.model_error.factor);
+        calibration.scale(self.images.model_error.factor);
         calibration.variances[TIME_OFFSET_ERROR] = self.offset_doubt().powi(2);
         Settings {
             rate_variance: densities.rate / self.imu.noise.period(),
@@ -353,16 +299,16 @@ impl Filter {
         }
     }
 
-    /// Keeps from now on what the smoother needs: about 1 MB per second.
+    /// Keeps from now on what the smoother needs.
     pub fn keep_archive(&mut self) {
-        self.publisher.archive.get_or_insert_default();
+        self.publisher.archive.enable();
     }
 
     /// Keeps the processed entries at the end of an estimate: those before `until`, if given.
     pub(super) fn archive_until(&mut self, until: Option<Stamp>) {
         for place in 0..self.history.processed() {
             let entry = self.history.get(place);
-            self.publisher.archive(entry.filter(|e| until.is_none_or(|u| e.stamp < u)));
+            self.publisher.archive.add(entry.filter(|e| until.is_none_or(|u| e.stamp < u)));
         }
     }
 
@@ -371,29 +317,10 @@ impl Filter {
         if end {
             self.archive_until(None);
         }
-        let (Some(archive), Some(geometry)) = (&mut self.publisher.archive, &self.setup.geometry)
-        else {
-            return Vec::new();
-        };
-        let (Some(first), Some(last)) = (archive.first(), archive.last()) else {
-            return Vec::new();
-        };
-        // A clock that was set back is no reason to wait.
-        let (span, last) = (last.stamp.seconds_since(first.stamp), last.stamp);
-        if !end && (0.0..=SMOOTHED + LAG).contains(&span) {
-            return Vec::new();
-        }
-        let entries = std::mem::take(archive);
-        let states = smoother::smooth(&entries, self.setup.config.gravity);
-        let until = if end { last } else { last.plus_seconds(-LAG) };
-        let later = entries.iter().rev().take_while(|e| e.stamp > until && e.stamp <= last);
-        let ready = entries.len() - later.count();
-        let settings = self.settings();
-        let smoothed = entries.iter().zip(&states).take(ready).filter(|(e, _)| e.is_imu());
-        let smoothed = smoothed
-            .map(|(entry, state)| odometry(entry.stamp, state, &entry.reading, geometry, &settings))
-            .collect();
-        self.publisher.archive = Some(entries.into_iter().skip(ready).collect());
-        smoothed
+        let (settings, gravity) = (self.settings(), self.setup.config.gravity);
+        let Some(geometry) = &self.setup.geometry else { return Vec::new() };
+        self.publisher.archive.smoothed(end, gravity, |entry, state| {
+            odometry(entry.stamp, state, &entry.reading, geometry, &settings)
+        })
     }
 }

@@ -22,7 +22,7 @@ impl Filter {
             return;
         }
         self.climber.assumed_variance = *variance;
-        // Readings that are used loosely keep their variance.
+        // Readings that are used with inflated noise keep their variance.
         let suspended = self.trust.is_suspended();
         let more = (variance - before).map(|more| more.max(0.0));
         for place in 0..self.history.len() {

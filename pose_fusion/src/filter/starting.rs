@@ -3,7 +3,7 @@
 
 use super::{Filter, search};
 use crate::{
-    adaptation::excess::PIXEL_NOISE,
+    adaptation::{innovation_scale::PIXEL_NOISE, layout_misfit::LayoutMisfit},
     ekf::{
         calibration::Calibration,
         propagation::ImuReading,
@@ -30,7 +30,7 @@ use nalgebra::Vector3;
 use rig_model::Stamp;
 
 /// An encoder reading further from the image than this initializes nothing, s.
-const NEAR: f64 = 1.0;
+const READING_NEAR: f64 = 1.0;
 /// Smallest uncertainty of "up" of an estimate whose time offset is unknown, rad, and largest time
 /// to the state that serves an instant, s.
 const ESTIMATED_UP: f64 = 0.05;
@@ -38,7 +38,7 @@ const ESTIMATED_NEAR: f64 = 0.05;
 /// The IMU's own attitude is wrong where another "up" is off by less than this share of it.
 const OWN_WORSE: f64 = 0.5;
 /// Biases known before an outage or recovery are worth half afterwards.
-const REMEMBERED: f64 = 2.0;
+const INFLATION: f64 = 2.0;
 /// Smallest bias sigma after an outage, m/s² and rad/s.
 const BIAS_FLOOR: f64 = 1e-4;
 /// Smallest uncertainty of an initialized time offset, s, and factor on what its alignment claims.
@@ -80,7 +80,7 @@ impl Filter {
         self.arrival.reset();
         self.imu.interrupt();
         self.trust.reset();
-        self.lock_out.clear();
+        self.monitor.clear();
         self.start.awaited = None;
     }
 
@@ -98,7 +98,6 @@ impl Filter {
             if ahead < 0.0 {
                 // The clock was set back.
                 self.publisher.warn(Warning::TimeJump { by_s: -ahead });
-                self.publisher.counts.resets.time_jumps += 1;
                 self.reset();
             } else {
                 // Neither images nor samples for a while: the image initializes the pose.
@@ -122,7 +121,7 @@ impl Filter {
     /// Drops everything that was estimated: it was unsound.
     pub(super) fn reset_estimate(&mut self) {
         self.restart();
-        self.markers.forget_layout();
+        self.images.layout = LayoutMisfit::default();
         self.start = Start { markers_seen: self.start.markers_seen, ..Start::default() };
         self.search = search(&self.setup.config);
     }
@@ -151,7 +150,7 @@ impl Filter {
             return false;
         }
         let Some(at) = self.start.kept_at.take() else { return false };
-        if !(0.0..crate::timeline::dropout::INTERPOLATED).contains(&stamp.seconds_since(at)) {
+        if !(0.0..crate::timeline::dropout::BRIDGED).contains(&stamp.seconds_since(at)) {
             return false;
         }
         let Some(state) = self.start.kept.take() else { return false };
@@ -205,18 +204,18 @@ impl Filter {
             return self.publisher.skip(stamp, pixels, Outcome::NotInitialized);
         }
         let mut image = Image::new(pixels, time_offset, climber.rest);
-        image.shake = self.markers.shake.variance().map(|v| v as f32).into();
+        image.shake = self.images.shake.variance().map(|v| v as f32).into();
         let up = up.or_else(|| self.imu.force_up_at(at, &self.history));
-        let ups = [self.imu.own_up_at(at), up];
+        let ups = [self.imu.verticals.at(at), up];
         let known = self.calibration();
         let Some(start) = self.likeliest_start(at, &image, ups, &climber, &known) else {
             return self.publisher.skip(stamp, pixels, Outcome::Inconsistent);
         };
         self.publisher.record(stamp, &start.record, false);
-        self.lock_out.initialized(stamp);
+        self.monitor.initialized(stamp);
         self.publisher.warn(Warning::Initialized { stamp });
-        self.markers.noise.raise(start.noise_factor, &PIXEL_NOISE);
-        self.markers.shake.interrupt(stamp, &start.record);
+        self.images.pixel_noise.raise(start.noise_factor, &PIXEL_NOISE);
+        self.images.shake.interrupt(stamp, &start.record);
         let mut state = start.state;
         self.remember(&mut state);
         self.set_state(at, state);
@@ -233,7 +232,7 @@ impl Filter {
         ups: [Option<Up>; 2],
         climber: &ClimberAt,
         known: &Calibration,
-    ) -> Option<from_image::Start> {
+    ) -> Option<from_image::InitialEstimate> {
         let (geometry, config) = (self.setup.geometry.as_ref()?, &self.setup.config);
         let start =
             |up: Option<&Up>| from_image::start(geometry, config, image, up, climber, known);
@@ -257,7 +256,7 @@ impl Filter {
     /// Returns the climber by its encoders at an image, where readings are near and do not leap.
     pub(super) fn climber_at(&self, image: Stamp) -> Option<ClimberAt> {
         let read = image.plus_seconds(-self.setup.config.clock.climber_offset);
-        let climber = self.climber.at(read).filter(|climber| climber.distance <= NEAR);
+        let climber = self.climber.at(read).filter(|climber| climber.distance <= READING_NEAR);
         climber.filter(|_| !self.climber.leaps_near(read))
     }
 
@@ -281,7 +280,9 @@ impl Filter {
             },
         };
         for _ in 0..place {
-            self.publisher.archive(self.history.get(0).filter(|_| self.history.processed() > 0));
+            self.publisher
+                .archive
+                .add(self.history.get(0).filter(|_| self.history.processed() > 0));
             self.history.drop_first();
         }
         let place = self.history.insert(at, Event::Set, reading);
@@ -289,7 +290,7 @@ impl Filter {
             entry.state = state;
         }
         self.history.set_processed(1);
-        self.lock_out.note_start(image);
+        self.monitor.note_start(image);
         self.process();
     }
 
@@ -307,7 +308,7 @@ impl Filter {
         let at = stamp.plus_seconds(old.time_offset.max(image.time_offset));
         let mut image = *image;
         image.time_offset = old.time_offset;
-        let ups = [self.imu.own_up_at(at), self.imu.force_up_at(at, &self.history)];
+        let ups = [self.imu.verticals.at(at), self.imu.force_up_at(at, &self.history)];
         let ups = ups.map(|up| up.filter(|_| uses_up));
         // What contradicted the images has moved the climber of the state, too.
         let trusted = (!self.trust.is_suspended()).then(|| self.climber_at(stamp)).flatten();
@@ -323,13 +324,12 @@ impl Filter {
         let Some(start) = self.likeliest_start(at, &image, ups, &climber, &old.calibration) else {
             return false;
         };
-        self.markers.noise.raise(start.noise_factor, &PIXEL_NOISE);
-        self.markers.shake.interrupt(stamp, &start.record);
+        self.images.pixel_noise.raise(start.noise_factor, &PIXEL_NOISE);
+        self.images.shake.interrupt(stamp, &start.record);
         let mut state = start.state;
         carry_over(&mut state, &old, self.start.searches_again);
         state.climber_acceleration = old.climber_acceleration;
-        self.publisher.counts.resets.recoveries += 1;
-        self.lock_out.initialized(stamp);
+        self.monitor.initialized(stamp);
         self.publisher.warn(Warning::LockOutRecovered { since, stamp });
         self.set_state(at, state);
         true
@@ -341,10 +341,10 @@ fn carry_over(state: &mut State, former: &State, offset_doubted: bool) {
     state.accelerometer_bias = former.accelerometer_bias;
     state.gyroscope_bias = former.gyroscope_bias;
     state.time_offset = former.time_offset;
-    let doubt = if offset_doubted { REMEMBERED } else { 1.0 };
+    let doubt = if offset_doubted { INFLATION } else { 1.0 };
     state.set_sigma(TIME_OFFSET, doubt * former.sigma(TIME_OFFSET));
     for first in [ACCELEROMETER_BIAS, GYROSCOPE_BIAS] {
-        let sigmas = former.sigmas(first).map(|sigma| (REMEMBERED * sigma).max(BIAS_FLOOR));
+        let sigmas = former.sigmas(first).map(|sigma| (INFLATION * sigma).max(BIAS_FLOOR));
         state.set_sigmas(first, &sigmas);
     }
 }

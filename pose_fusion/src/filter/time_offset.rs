@@ -3,6 +3,7 @@
 
 use super::{Filter, starting::OFFSET_SIGMA};
 use crate::{
+    adaptation::layout_misfit::LayoutMisfit,
     ekf::{propagation::ImuReading, state::TIME_OFFSET},
     health::encoder_trust::Cause,
     initialization::{
@@ -106,7 +107,7 @@ impl Filter {
     /// Whether an alignment since the initialization agrees with a filter that knows its offset.
     fn confirms(&self, stamp: Stamp, found: &TimeOffset) -> bool {
         let independent =
-            self.lock_out.initialized_at.is_some_and(|i| stamp.seconds_since(i) > WINDOW);
+            self.monitor.initialized_at.is_some_and(|i| stamp.seconds_since(i) > WINDOW);
         let known = self.time_offset_sigma().filter(|sigma| *sigma < KNOWN);
         let away = (self.time_offset() - found.offset).abs();
         independent && known.is_some_and(|sigma| away < 2.0 * sigma.hypot(found.sigma))
@@ -130,7 +131,7 @@ impl Filter {
         let world_from_climber = climber.rest.join(&climber.values);
         let world_from_camera = world_from_climber * geometry.climber_from_camera;
         let at = stamp.plus_seconds(self.time_offset());
-        let up = (self.imu.own_up_at(at))
+        let up = (self.imu.verticals.at(at))
             .or_else(|| self.up_of_estimate(at))
             .or_else(|| self.imu.force_up_at(at, &self.history));
         // "Up" may be of another instant: it chooses between the poses and moves none.
@@ -157,7 +158,7 @@ impl Filter {
         to_world.fixed_view_mut::<3, 3>(3, 3).copy_from(turn.matrix());
         let mut covariance = best.covariance;
         let distance = best.camera_from_volant.translation.z / geometry.camera.focal_lengths().x;
-        for (axis, variance) in self.markers.shake.variance().iter().enumerate() {
+        for (axis, variance) in self.images.shake.variance().iter().enumerate() {
             covariance[(axis, axis)] += variance * distance * distance;
         }
         let mut covariance = to_world * covariance * to_world.transpose();
@@ -205,7 +206,6 @@ impl Filter {
             (near || settled) && away < AGREES * sigma
         };
         if first || !agrees {
-            self.publisher.counts.resets.time_offsets += 1;
             self.publisher.warn(Warning::TimeOffset { offset_s: found.offset });
         }
         if agrees || !self.is_started() {
@@ -248,7 +248,7 @@ impl Filter {
             self.history.insert(at.plus_seconds(moved), event, reading);
         }
         if kept.is_none() {
-            self.markers.forget_layout();
+            self.images.layout = LayoutMisfit::default();
         }
         self.start.kept = kept.map(Box::new);
         if let Some((stamp, pixels, up)) = first {

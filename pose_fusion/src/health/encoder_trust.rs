@@ -6,10 +6,10 @@
 //! `climber.step_timeout` are adopted (the drive was homed, or a wheel slipped): the filter
 //! reinitializes with them, and the world frame moves with the encoders. Until then the pose keeps
 //! its frame. Who of the two is wrong is not known: after `DISAGREES` the published covariance
-//! contains the distance between them; where they seem to be frozen, until that has been
-//! `CONFIRMED`. Encoders that are known to be frozen are not adopted before they move again.
+//! contains the distance between them; where they seem to be stuck, until that has been
+//! `STUCK_CONFIRMED`. Encoders that are known to be stuck are not adopted before they move again.
 //! Readings that return from a fault and go on moving, on all axes that moved, are right: they are
-//! adopted after `RETURNED`. They return where frozen ones move again, or where they leap to where a
+//! adopted after `RETURNED`. They return where stuck ones move again, or where they leap to where a
 //! climber can have moved to since they were equal or leapt before.
 
 use super::encoder_directions::EncoderDirections;
@@ -19,12 +19,12 @@ use rig_model::Stamp;
 /// Readings that contradict the estimate for longer than this cast doubt on it, s.
 const DISAGREES: f64 = 0.3;
 
-/// Encoders that seem to be frozen are, where nothing contradicted that for this time, s.
-const CONFIRMED: f64 = 1.0;
+/// Encoders that seem to be stuck are, where nothing contradicted that for this time, s.
+const STUCK_CONFIRMED: f64 = 1.0;
 
 /// Consistent readings in a row that restore trust.
 const CONSISTENT: u32 = 3;
-/// Time for which standing readings must be consistent, s: the climber may come by frozen ones.
+/// Time for which standing readings must be consistent, s: the climber may come by stuck ones.
 const UNCHANGED: f64 = 1.0;
 /// The same where only one axis stands, which may be at rest, s.
 const PASSED: f64 = 0.3;
@@ -33,7 +33,7 @@ const RETURNED: f64 = 0.2;
 /// This long after encoders were suspended, images should not contradict the prediction any more, s.
 const EXPLAINED: f64 = 0.2;
 /// A reading is consistent below this NIS (one degree of freedom; 3 sigma).
-const GATE: f64 = 9.0;
+const CONSISTENT_NIS: f64 = 9.0;
 
 /// What to do with a reading while the encoders are suspended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -53,20 +53,20 @@ pub enum Cause {
     Contradiction,
     /// Their readings leapt further than a climber moves.
     Leap,
-    /// They were frozen and move again: wrong until they are adopted or consistent.
-    Thawed,
-    /// They are frozen while the climber drives: the estimate is right.
-    Frozen,
+    /// They were stuck and move again: wrong until they are adopted or consistent.
+    Unstuck,
+    /// They are stuck while the climber drives: the estimate is right.
+    Stuck,
 }
 
 /// What is seen of the encoders at a reading.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Seen {
-    /// The newest readings are equal, or those of an axis that may be frozen.
+pub struct EncoderEvidence {
+    /// The newest readings are equal, or those of an axis that may be stuck.
     pub standing: bool,
     /// The newest readings of an axis are equal.
     pub axis_stands: bool,
-    /// An axis has stood since about when the encoders were suspended: it may be frozen.
+    /// An axis has stood since about when the encoders were suspended: it may be stuck.
     pub axis_stopped: bool,
     /// The estimate of the climber moves.
     pub moves: bool,
@@ -87,7 +87,7 @@ pub struct EncoderTrust {
     newest: Option<Stamp>,
     /// First reading after a fault.
     returned: Option<Stamp>,
-    /// Last time that readings which stand were tried without, or were found not to be frozen.
+    /// Last time that readings which stand were tried without, or were found not to be stuck.
     tried: Option<Stamp>,
     /// Whether images and IMU show the directions that the encoders report.
     pub directions: EncoderDirections,
@@ -109,11 +109,11 @@ impl EncoderTrust {
         self.suspended.map(|(_, cause)| cause)
     }
 
-    /// Suspends the encoders at a reading. Suspended ones keep their cause unless they are frozen.
+    /// Suspends the encoders at a reading. Suspended ones keep their cause unless they are stuck.
     /// `returns`: the reading returns from a fault that was not noticed.
     pub fn suspend(&mut self, at: Stamp, cause: Cause, returns: bool) {
         let suspended = self.suspended.get_or_insert((at, cause));
-        if cause == Cause::Frozen {
+        if cause == Cause::Stuck {
             suspended.1 = cause;
         }
         self.returned = returns.then_some(at);
@@ -126,8 +126,8 @@ impl EncoderTrust {
         let (since, cause) = self.suspended?;
         let lasts = self.newest?.seconds_since(since);
         let disagrees = match cause {
-            Cause::Frozen => lasts < CONFIRMED,
-            Cause::Thawed => true,
+            Cause::Stuck => lasts < STUCK_CONFIRMED,
+            Cause::Unstuck => true,
             Cause::Contradiction | Cause::Leap => lasts > DISAGREES,
         };
         disagrees.then_some(self.residual)
@@ -140,7 +140,7 @@ impl EncoderTrust {
         at: Stamp,
         nis: f64,
         residual: &Vector3<f64>,
-        seen: Seen,
+        seen: EncoderEvidence,
         timeout: f64,
     ) -> Verdict {
         let Some((since, cause)) = &mut self.suspended else { return Verdict::Resume };
@@ -149,16 +149,16 @@ impl EncoderTrust {
         if seen.standing {
             self.returned = None;
             if seen.moves && contradicts > DISAGREES {
-                *cause = Cause::Frozen;
+                *cause = Cause::Stuck;
             }
-        } else if *cause == Cause::Frozen {
-            *cause = Cause::Thawed;
+        } else if *cause == Cause::Stuck {
+            *cause = Cause::Unstuck;
             self.returned = seen.moves_on.then_some(at);
         } else if let Some(returns) = seen.leap {
             self.returned = returns.then_some(at);
         }
-        let frozen = *cause == Cause::Frozen;
-        if nis < GATE {
+        let stuck = *cause == Cause::Stuck;
+        if nis < CONSISTENT_NIS {
             self.consistent += 1;
             self.consistent_since.get_or_insert(at);
         } else {
@@ -175,7 +175,7 @@ impl EncoderTrust {
         if self.consistent >= CONSISTENT && lasts > due {
             self.reset();
             Verdict::Resume
-        } else if !frozen && self.consistent == 0 && (returned || contradicts > timeout) {
+        } else if !stuck && self.consistent == 0 && (returned || contradicts > timeout) {
             self.reset();
             Verdict::Adopt
         } else {
@@ -189,7 +189,7 @@ impl EncoderTrust {
         *self = Self { tried: self.tried, directions, ..Self::default() };
     }
 
-    /// Returns whether encoders that have stood since `since` may be frozen: not where they are
+    /// Returns whether encoders that have stood since `since` may be stuck: not where they are
     /// suspended, or stood already when they were tried without.
     pub fn may_suspect(&self, since: Stamp, at: Stamp) -> bool {
         // A clock that was set back leaves a trial in the future.
@@ -219,7 +219,7 @@ impl EncoderTrust {
 mod tests {
     use super::*;
 
-    const STRANGE: Seen = Seen {
+    const STRANGE: EncoderEvidence = EncoderEvidence {
         standing: false,
         axis_stands: false,
         axis_stopped: false,
@@ -227,9 +227,9 @@ mod tests {
         moves_on: false,
         leap: None,
     };
-    const RETURNS: Seen = Seen { moves_on: true, ..STRANGE };
-    const STANDS: Seen = Seen { standing: true, ..STRANGE };
-    const FROZEN: Seen = Seen { moves: true, ..STANDS };
+    const RETURNS: EncoderEvidence = EncoderEvidence { moves_on: true, ..STRANGE };
+    const STANDS: EncoderEvidence = EncoderEvidence { standing: true, ..STRANGE };
+    const STUCK: EncoderEvidence = EncoderEvidence { moves: true, ..STANDS };
 
     #[test]
     fn three_consistent_readings_restore_trust_and_a_lasting_step_is_adopted() {
@@ -243,22 +243,22 @@ mod tests {
         assert_eq!(trust.judge(at(60), 1.0, &off, STRANGE, 3.0), Verdict::Resume);
         assert!(!trust.is_suspended());
         trust.suspend(at(70), Cause::Contradiction, false);
-        let frozen: Vec<Verdict> =
+        let stuck: Vec<Verdict> =
             (0..60).map(|k| trust.judge(at(80 + 20 * k), 1.0, &off, STANDS, 3.0)).collect();
-        assert_eq!(frozen.iter().position(|v| *v == Verdict::Resume), Some(51));
+        assert_eq!(stuck.iter().position(|v| *v == Verdict::Resume), Some(51));
         trust.suspend(at(100), Cause::Contradiction, false);
         trust.suspend(at(2000), Cause::Contradiction, false);
         assert_eq!(trust.judge(at(2100), 1e6, &off, STRANGE, 3.0), Verdict::Exclude);
         assert_eq!(trust.disagreement(), Some(off));
-        trust.suspend(at(2200), Cause::Frozen, false);
+        trust.suspend(at(2200), Cause::Stuck, false);
         assert_eq!(trust.disagreement(), None);
-        // A climber that stands is adopted, one that moves has frozen encoders.
+        // A climber that stands is adopted, one that moves has stuck encoders.
         let mut stopped = EncoderTrust::default();
         stopped.suspend(at(0), Cause::Contradiction, false);
         let mut moving = stopped.clone();
         assert_eq!(stopped.judge(at(4000), 1e6, &off, STANDS, 3.0), Verdict::Adopt);
-        assert_eq!(moving.judge(at(200), 1e6, &off, FROZEN, 3.0), Verdict::Exclude);
-        assert_eq!(moving.judge(at(400), 1e6, &off, FROZEN, 3.0), Verdict::Exclude);
+        assert_eq!(moving.judge(at(200), 1e6, &off, STUCK, 3.0), Verdict::Exclude);
+        assert_eq!(moving.judge(at(400), 1e6, &off, STUCK, 3.0), Verdict::Exclude);
         assert_eq!(moving.judge(at(4000), 1e6, &off, STANDS, 3.0), Verdict::Exclude);
         // Readings that return from a fault and move are adopted early, those of a reset are not.
         let first_adopted = |returns: bool, leaps: &[(i64, bool)], stands: i64| {
@@ -266,7 +266,7 @@ mod tests {
             trust.suspend(at(0), Cause::Leap, returns);
             (1..200).map(|k| 20 * k).find(|&ms| {
                 let leap = leaps.iter().find(|(at, _)| *at == ms).map(|(_, returns)| *returns);
-                let seen = Seen { standing: ms > stands, leap, ..STRANGE };
+                let seen = EncoderEvidence { standing: ms > stands, leap, ..STRANGE };
                 trust.judge(at(ms), 500.0, &off, seen, 3.0) == Verdict::Adopt
             })
         };
@@ -275,20 +275,20 @@ mod tests {
         assert_eq!(first_adopted(false, &[(1000, true)], 9000), Some(1220));
         let alternating: Vec<_> = (1..100).map(|k| (40 * k, k % 2 == 0)).collect();
         assert_eq!(first_adopted(false, &alternating, 9000), Some(3020));
-        // Frozen readings are never adopted; those that move again are right.
+        // Stuck readings are never adopted; those that move again are right.
         assert_eq!(trust.judge(at(9000), 1e6, &off, STANDS, 3.0), Verdict::Exclude);
         let mut unclear = trust.clone();
         assert_eq!(unclear.judge(at(9020), 1e6, &off, STRANGE, 30.0), Verdict::Exclude);
         assert_eq!(unclear.judge(at(9240), 1e6, &off, STRANGE, 30.0), Verdict::Exclude);
         assert_eq!(trust.judge(at(9020), 1e6, &off, RETURNS, 30.0), Verdict::Exclude);
         // Not while an axis stands that moved before; one at rest (a drive along one rail) is right.
-        let stopped = Seen { axis_stands: true, axis_stopped: true, ..STRANGE };
+        let stopped = EncoderEvidence { axis_stands: true, axis_stopped: true, ..STRANGE };
         assert_eq!(trust.judge(at(9230), 1e6, &off, stopped, 30.0), Verdict::Exclude);
-        let resting = Seen { axis_stands: true, ..STRANGE };
+        let resting = EncoderEvidence { axis_stands: true, ..STRANGE };
         assert_eq!(trust.judge(at(9240), 1e6, &off, resting, 30.0), Verdict::Adopt);
         // What contradicts without them as well is not theirs, unless they have leapt.
         for (cause, restored) in
-            [(Cause::Contradiction, true), (Cause::Frozen, true), (Cause::Leap, false)]
+            [(Cause::Contradiction, true), (Cause::Stuck, true), (Cause::Leap, false)]
         {
             let mut suspect = EncoderTrust::default();
             suspect.suspend(at(5000), cause, false);
@@ -299,7 +299,7 @@ mod tests {
         }
         // Readings that stand are tried without once.
         assert!(trust.may_suspect(at(9500), at(10_000)));
-        trust.suspend(at(10_000), Cause::Frozen, false);
+        trust.suspend(at(10_000), Cause::Stuck, false);
         trust.note_trial(at(10_000));
         assert!(!trust.may_suspect(at(11_000), at(12_000)));
         trust.reset();

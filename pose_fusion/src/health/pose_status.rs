@@ -3,10 +3,10 @@
 use crate::config::StatusConfig;
 use rig_model::Stamp;
 
-const MIRRORED: &str = "no IMU sample, and fewer than four markers: they fit two tilts";
+const MIRRORED_REASON: &str = "no IMU sample, and fewer than four markers: they fit two tilts";
 /// Reason of a pose that images contradict again and again.
-pub const CONTRADICTED: &str = "images contradict the IMU or the encoders: check units, signs, \
-                                orientations and frames (`volant check` names the cause)";
+pub const CONTRADICTED_REASON: &str = "images contradict the IMU or the encoders: check units, signs, \
+                            orientations and frames (`volant check` names the cause)";
 
 /// What carries the pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -112,7 +112,7 @@ impl PoseStatus {
         };
         self.reason = match (contradicted, self.state) {
             (Some(why), _) => why.to_owned(),
-            _ if mirrored => MIRRORED.to_owned(),
+            _ if mirrored => MIRRORED_REASON.to_owned(),
             (_, PoseState::VisionOnly) => lasting("no IMU sample", self.imu_age),
             (_, PoseState::Coasting | PoseState::Lost) if self.image_age > config.max_image_age => {
                 lasting("no image used", self.image_age)
@@ -135,6 +135,24 @@ impl PoseStatus {
             }
         }
         self
+    }
+}
+
+/// Time between two status messages without odometry, s.
+pub const STATUS_PERIOD: f64 = 0.1;
+
+/// Schedules the status at 10 Hz of data time, given the stamp of the last one.
+#[derive(Clone, Debug, Default)]
+pub struct StatusTimer(pub Option<Stamp>);
+
+impl StatusTimer {
+    /// Returns whether a status is due at an instant, and notes it: a period after the last one,
+    /// and after a jump of time.
+    pub fn is_due(&mut self, now: Stamp) -> bool {
+        let since = self.0.map_or(f64::INFINITY, |last| now.seconds_since(last));
+        let due = !(0.0..STATUS_PERIOD).contains(&since);
+        self.0 = if due { Some(now) } else { self.0 };
+        due
     }
 }
 
@@ -178,7 +196,8 @@ mod tests {
         let lost = PoseStatus { position_sigma: 0.5, ..tracking.clone() };
         let lost = lost.judged(&config, false, None);
         assert!(lost.state == PoseState::Lost && lost.reason.contains("lost_position"), "{lost:?}");
-        let contradicted = tracking.judged(&StatusConfig::default(), false, Some(CONTRADICTED));
+        let contradicted =
+            tracking.judged(&StatusConfig::default(), false, Some(CONTRADICTED_REASON));
         assert!(!contradicted.valid && contradicted.state == PoseState::Lost);
         assert!(contradicted.reason.contains("units"), "{}", contradicted.reason);
     }

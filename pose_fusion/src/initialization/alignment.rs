@@ -85,13 +85,13 @@ pub(super) struct Aligned {
 }
 
 /// `volant_from_imu`, gravity (m/s²), errors of the IMU and its noise.
-pub(super) type Settings<'a> = (&'a Isometry3<f64>, f64, &'a ImuConfig, &'a Densities);
+pub(super) type AlignmentSettings<'a> = (&'a Isometry3<f64>, f64, &'a ImuConfig, &'a Densities);
 
 /// Aligns image poses with the IMU's motion, linearized at `biases`.
 pub(super) fn align(
     poses: &[VisualPose],
     readings: &VecDeque<(Stamp, ImuReading)>,
-    (volant_from_imu, gravity, imu, noise): Settings<'_>,
+    (volant_from_imu, gravity, imu, noise): AlignmentSettings<'_>,
     biases: &ImuReading,
 ) -> Option<Aligned> {
     let track = preintegrate(readings, biases);

@@ -15,7 +15,7 @@ use crate::{
         update,
     },
     input::{
-        climber_track::{ACCELERATION, ClimberAt},
+        climber_track::{ClimberAt, DRIVE_ACCELERATION},
         imu::Up,
     },
     measurements::{
@@ -43,7 +43,7 @@ const OPEN: [f64; 2] = [2.0, 1.0];
 
 /// Initial state after the image, with the image's records.
 #[derive(Clone, Debug)]
-pub struct Start {
+pub struct InitialEstimate {
     /// State.
     pub state: State,
     /// Records of the image's markers.
@@ -62,7 +62,7 @@ pub fn start(
     up: Option<&Up>,
     climber: &ClimberAt,
     calibration: &Calibration,
-) -> Option<Start> {
+) -> Option<InitialEstimate> {
     let misfit = match attempt(geometry, config, image, up, climber, calibration) {
         Ok(start) => return Some(start),
         Err(misfit) => misfit?,
@@ -72,7 +72,7 @@ pub fn start(
     let noise_factor = misfit.noise_factor();
     let image = image.with_noise(noise_factor);
     let start = attempt(geometry, config, &image, up, climber, calibration).ok()?;
-    Some(Start { noise_factor, ..start })
+    Some(InitialEstimate { noise_factor, ..start })
 }
 
 /// Returns the start from the image, or by how much its markers do not fit together.
@@ -83,7 +83,7 @@ fn attempt(
     up: Option<&Up>,
     climber: &ClimberAt,
     calibration: &Calibration,
-) -> Result<Start, Option<Box<Misfit>>> {
+) -> Result<InitialEstimate, Option<Box<Misfit>>> {
     let world_from_climber = image.rest.join(&climber.values);
     let world_from_camera = world_from_climber * geometry.climber_from_camera;
     let solve = |tilt: Option<&TiltPrior>| candidates(geometry, calibration, &image.pixels(), tilt);
@@ -136,7 +136,7 @@ fn attempt(
     let record = markers::update(&mut state, geometry, image, &none, gate, gravity, true);
     (state.position, state.attitude) = (position, attitude);
     (state.climber, state.climber_rate) = (climber.values, climber.rates);
-    Ok(Start { state, record, noise_factor: 1.0 })
+    Ok(InitialEstimate { state, record, noise_factor: 1.0 })
 }
 
 /// Returns the poses that an image allows, the likeliest first, with the markers where they are
@@ -193,7 +193,7 @@ pub fn unknown(config: &TightConfig, climber: &ClimberAt) -> State {
     state.set_sigmas(GYROSCOPE_BIAS, &Vector3::repeat(config.imu.gyroscope_bias));
     state.set_sigmas(CLIMBER, &climber.sigmas());
     state.set_sigmas(CLIMBER_RATE, &climber.rate_sigmas);
-    state.set_sigmas(CLIMBER_ACCELERATION, &ACCELERATION.into());
+    state.set_sigmas(CLIMBER_ACCELERATION, &DRIVE_ACCELERATION.into());
     state.set_sigma(TIME_OFFSET, config.clock.camera_sigma.min(LINEAR_OFFSET));
     for axis in 0..3 {
         let by = by_parameter(axis, climber.values[axis], climber.rates[axis]);

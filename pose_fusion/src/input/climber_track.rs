@@ -13,20 +13,20 @@ use std::collections::VecDeque;
 /// Number of readings kept: 0.4 s at 1 kHz, more than encoders must stand to be tried without.
 const KEPT: usize = 400;
 /// Readings within this time of an instant give the rates, s.
-const NEAR: f64 = 0.25;
+const RATE_SPAN: f64 = 0.25;
 /// Readings that are less than this apart are interpolated without more uncertainty, s.
-const INTERPOLATED: f64 = 0.1;
+const READINGS_INTERPOLATED: f64 = 0.1;
 /// Readings are missing after this many of the usual intervals of the last [`RECENT`].
 const MISSED: f64 = 2.0;
 const RECENT: usize = 32;
 /// Share of a reading's latency in the running mean.
 const LATENCY_SHARE: f64 = 0.1;
 /// Shortest span of readings that gives rates, s.
-const SHORTEST: f64 = 0.03;
+const SHORTEST_RATE_SPAN: f64 = 0.03;
 /// No climber is faster than this (x, y, m/s; turn, rad/s; 1 sigma) …
 pub const SPEED: [f64; 3] = [0.5, 0.5, 0.4];
 /// … or accelerated by more than this (m/s², rad/s²; 1 sigma).
-pub const ACCELERATION: [f64; 3] = [0.5, 0.5, 0.3];
+pub const DRIVE_ACCELERATION: [f64; 3] = [0.5, 0.5, 0.3];
 /// A climber that moves by more than this many encoder steps within [`MOVING_SPAN`] is driving.
 const MOVING_STEPS: f64 = 3.0;
 const MOVING_SPAN: f64 = 0.2;
@@ -87,8 +87,8 @@ pub struct ClimberTrack {
     latency: f64,
     /// Per axis, the first of the readings that equal the newest one.
     standing_since: [Stamp; 3],
-    /// Per axis, since when it may be frozen.
-    frozen: [Option<Stamp>; 3],
+    /// Per axis, since when it may be stuck.
+    stuck: [Option<Stamp>; 3],
 }
 
 impl ClimberTrack {
@@ -103,7 +103,7 @@ impl ClimberTrack {
             jerk_factor: SETTING_OFF,
             latency: 0.0,
             standing_since: [Stamp::default(); 3],
-            frozen: [None; 3],
+            stuck: [None; 3],
         }
     }
 
@@ -122,7 +122,7 @@ impl ClimberTrack {
         let (variance, equal) = if place == self.readings.len() {
             for axis in 0..3 {
                 if self.readings.back().is_none_or(|(_, last, _)| last[axis] != values[axis]) {
-                    (self.standing_since[axis], self.frozen[axis]) = (stamp, None);
+                    (self.standing_since[axis], self.stuck[axis]) = (stamp, None);
                 }
             }
             self.noise.add(stamp, &values)
@@ -142,7 +142,7 @@ impl ClimberTrack {
 
     /// Notes how much older a reading is than the end of the time line when it comes, s.
     pub fn note_latency(&mut self, latency: f64) {
-        self.latency += LATENCY_SHARE * (latency.clamp(0.0, NEAR) - self.latency);
+        self.latency += LATENCY_SHARE * (latency.clamp(0.0, RATE_SPAN) - self.latency);
     }
 
     /// Returns the age at an instant of the last reading before it, where readings that were due are
@@ -153,10 +153,10 @@ impl ClimberTrack {
         let last = after.checked_sub(1).and_then(|last| self.readings.get(last))?;
         let age = stamp.seconds_since(last.0);
         // Not searched at each step.
-        if age <= SHORTEST {
+        if age <= SHORTEST_RATE_SPAN {
             return None;
         }
-        let due = (MISSED * self.interval(after)?).max(SHORTEST) + 2.0 * self.latency;
+        let due = (MISSED * self.interval(after)?).max(SHORTEST_RATE_SPAN) + 2.0 * self.latency;
         (age > due).then_some(age)
     }
 
@@ -221,7 +221,7 @@ impl ClimberTrack {
         let (nearest, distance) = match (before, next) {
             (Some(a), Some(b)) => {
                 let (since, until) = (stamp.seconds_since(a.0), b.0.seconds_since(stamp));
-                (a, if since + until < INTERPOLATED { 0.0 } else { since.min(until) })
+                (a, if since + until < READINGS_INTERPOLATED { 0.0 } else { since.min(until) })
             }
             (Some(a), None) => (a, stamp.seconds_since(a.0)),
             (None, Some(b)) => (b, b.0.seconds_since(stamp)),
@@ -252,17 +252,17 @@ impl ClimberTrack {
     fn rates(&self, stamp: Stamp, noise: &Vector3<f64>) -> (Vector3<f64>, Vector3<f64>) {
         let fastest = Vector3::from(SPEED);
         let recent =
-            || self.readings.iter().filter(|(s, _, _)| s.seconds_since(stamp).abs() < NEAR);
+            || self.readings.iter().filter(|(s, _, _)| s.seconds_since(stamp).abs() < RATE_SPAN);
         let (Some(first), Some(last)) = (recent().next(), recent().next_back()) else {
             return (Vector3::zeros(), fastest);
         };
         let span = last.0.seconds_since(first.0);
-        if span <= SHORTEST {
+        if span <= SHORTEST_RATE_SPAN {
             return (Vector3::zeros(), fastest);
         }
         let rates = way(&first.1, &last.1);
         let step = noise * 12f64.sqrt();
-        let sigmas = (step / span + Vector3::from(ACCELERATION) * span).inf(&fastest);
+        let sigmas = (step / span + Vector3::from(DRIVE_ACCELERATION) * span).inf(&fastest);
         ((rates / span).map(|r| if r.is_finite() { r } else { 0.0 }), sigmas)
     }
 }

@@ -3,7 +3,6 @@
 
 use crate::{
     adaptation::{
-        excess::Excess,
         imu_integrity::ImuIntegrity,
         imu_noise::{Densities, ImuNoise},
         stationary::Stationary,
@@ -24,11 +23,11 @@ const KEPT: f64 = 1.5;
 /// … at most one in this time, s: they change slowly against their error.
 const SPACING: f64 = 0.01;
 /// An attitude further from an instant does not serve it, s.
-const NEAR: f64 = 0.1;
+const ATTITUDE_NEAR: f64 = 0.1;
 /// Tilt that a swing hides from the accelerometer, rad (1 sigma).
 pub const SWING_TILT: f64 = 0.15;
 /// The mean specific force over this time around an instant points up but for that, s.
-const MEAN_FORCE: f64 = 0.3;
+const FORCE_AVERAGED: f64 = 0.3;
 /// Its upward part in units of gravity: a swing of 60 degrees is within.
 const GRAVITY: std::ops::Range<f64> = 0.5..2.0;
 
@@ -58,9 +57,9 @@ impl Up {
 
 /// The IMU's own directions of "up" by their instants.
 #[derive(Clone, Debug, Default)]
-pub struct Ups(VecDeque<(Stamp, Up)>);
+pub struct VerticalReferences(VecDeque<(Stamp, Up)>);
 
-impl Ups {
+impl VerticalReferences {
     /// Adds that of a sample that has a usable attitude, with a sigma of at least `floor` rad.
     pub fn add(&mut self, sample: &ImuSample, floor: f64) {
         let Some(up) = up_of(sample, floor) else { return };
@@ -78,7 +77,7 @@ impl Ups {
     pub fn at(&self, stamp: Stamp) -> Option<Up> {
         let distance = |s: &Stamp| (s.as_nanos() - stamp.as_nanos()).unsigned_abs();
         let (at, up) = self.0.iter().min_by_key(|(s, _)| distance(s))?;
-        (at.seconds_since(stamp).abs() < NEAR).then_some(*up)
+        (at.seconds_since(stamp).abs() < ATTITUDE_NEAR).then_some(*up)
     }
 }
 
@@ -94,12 +93,9 @@ pub struct ImuInput {
     /// Noise of the samples.
     pub noise: ImuNoise,
     stationary: Stationary,
-    ups: Ups,
+    /// The IMU's own directions of "up".
+    pub verticals: VerticalReferences,
     ignores_attitude: bool,
-    /// Model error identified from the images.
-    pub model_error: Excess,
-    /// Half the width of the mean that is the motion at an image, s.
-    pub smoothing: f64,
     /// The noise was known at some time.
     known: bool,
 }
@@ -112,11 +108,13 @@ impl ImuInput {
     }
 
     /// Returns the event of a reading `dt` seconds after the previous one (`None`: the first).
+    /// `model_error` is the factor on the sigma of its scale factors.
     pub fn event(
         &mut self,
         reading: &ImuReading,
         dt: Option<f64>,
         mounting: &ImuMounting,
+        model_error: f64,
     ) -> Event {
         let given = given(mounting);
         self.noise.add(reading, dt.unwrap_or(0.0));
@@ -126,20 +124,20 @@ impl ImuInput {
         let found = self.noise.sample_variances();
         let variances = found.zip(&given, |found, given| found.max(given / period));
         let at_rest = self.stationary.add(reading, dt, &variances);
-        let more = self.integrity.additional(reading, dt, &variances, self.model_error.factor);
+        let more = self.integrity.additional(reading, dt, &variances, model_error);
         Event::Imu { noise: noise.zip(&more, |usual, more| usual + more), at_rest }
     }
 
     /// Ignores the IMU's own attitude from now on.
     pub fn ignore_attitude(&mut self) {
         self.ignores_attitude = true;
-        self.ups = Ups::default();
+        self.verticals = VerticalReferences::default();
     }
 
     /// Remembers the IMU's own attitude, where the sample has a usable one.
     pub fn remember_attitude(&mut self, sample: &ImuSample, floor: f64) {
         if !self.ignores_attitude {
-            self.ups.add(sample, floor);
+            self.verticals.add(sample, floor);
         }
     }
 
@@ -165,11 +163,6 @@ impl ImuInput {
         self.noise.densities(&given(mounting))
     }
 
-    /// Returns the IMU's own direction of "up" at an instant.
-    pub fn own_up_at(&self, stamp: Stamp) -> Option<Up> {
-        self.ups.at(stamp)
-    }
-
     /// Returns the mean direction of the specific force around an instant.
     pub fn force_up_at(&self, stamp: Stamp, history: &History) -> Option<Up> {
         mean_force(stamp, history)?.try_normalize(1e-3).map(|in_imu| Up {
@@ -184,7 +177,7 @@ impl ImuInput {
     /// negated ones, ones without gravity.
     pub fn wrong_gravity(&self, stamp: Stamp, history: &History, gravity: f64) -> Option<f64> {
         let force = mean_force(stamp, history)?;
-        let upward = match self.own_up_at(stamp) {
+        let upward = match self.verticals.at(stamp) {
             Some(up) => force.dot(&up.in_imu),
             None => force.norm(),
         };
@@ -194,7 +187,7 @@ impl ImuInput {
 
 /// Mean specific force around an instant, IMU axes, m/s².
 fn mean_force(stamp: Stamp, history: &History) -> Option<Vector3<f64>> {
-    let is_near = |entry: &Entry| entry.stamp.seconds_since(stamp).abs() < MEAN_FORCE;
+    let is_near = |entry: &Entry| entry.stamp.seconds_since(stamp).abs() < FORCE_AVERAGED;
     let near = history.iter().filter(|entry| entry.is_imu() && is_near(entry));
     let (count, sum) = near.fold((0.0, Vector3::zeros()), |(count, sum), entry| {
         (count + 1.0, sum + entry.reading.specific_force)

@@ -13,7 +13,7 @@ use nalgebra::{Matrix3, Vector3};
 use rig_model::wrap_angle;
 
 /// Largest acceleration of a climber: m/s², m/s², rad/s² (simulated end stop: 36 m/s²).
-const ACCELERATION: f64 = 40.0;
+const END_STOP_ACCELERATION: f64 = 40.0;
 /// Beyond this span the images decide where the climber went, s.
 const LONGEST: f64 = 0.1;
 /// NIS (one degree of freedom) above which a reading contradicts the model of the motion (5 sigma).
@@ -89,9 +89,9 @@ pub fn by_parameter(axis: usize, value: f64, rate: f64) -> ByParameter {
 }
 
 /// Returns whether no climber can have caused the innovation within `span` seconds: its distance,
-/// less five sigma, asks for more than `ACCELERATION`.
+/// less five sigma, asks for more than `END_STOP_ACCELERATION`.
 pub fn is_impossible(innovation: &Innovation<3>, span: f64) -> bool {
-    let reach = ACCELERATION * span.min(LONGEST).powi(2) / 2.0;
+    let reach = END_STOP_ACCELERATION * span.min(LONGEST).powi(2) / 2.0;
     (0..3).any(|i| {
         let sigma = innovation.covariance[(i, i)].sqrt();
         let distance = innovation.residual[i].abs();

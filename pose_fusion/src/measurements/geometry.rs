@@ -50,13 +50,15 @@ pub struct ClimberHeightTilt {
 
 impl ClimberHeightTilt {
     /// Splits a pose into (x, y, turn) and the rest, so that
-    /// `pose = T(x, y, height) · Rz(turn) · tilt` (swing–twist).
-    pub fn split(pose: &Isometry3<f64>) -> (Vector3<f64>, Self) {
+    /// `pose = T(x, y, height) · Rz(turn) · tilt` (swing–twist); `None` of a number not finite.
+    pub fn split(pose: &Isometry3<f64>) -> Option<(Vector3<f64>, Self)> {
         let q = pose.rotation;
         let turn = 2.0 * q.k.atan2(q.w);
         let about_z = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn);
         let t = pose.translation.vector;
-        (Vector3::new(t.x, t.y, turn), Self { height: t.z, tilt: about_z.inverse() * q })
+        let finite = t.iter().chain(&q.coords).all(|x| x.is_finite());
+        let rest = Self { height: t.z, tilt: about_z.inverse() * q };
+        finite.then_some((Vector3::new(t.x, t.y, turn), rest))
     }
 
     /// Returns `world_from_climber` of (x, y, turn) and the rest.
@@ -78,7 +80,7 @@ mod tests {
             Translation3::new(0.3, -0.2, 2.8),
             UnitQuaternion::from_euler_angles(0.02, -0.03, 2.9),
         );
-        let (climber, rest) = ClimberHeightTilt::split(&pose);
+        let (climber, rest) = ClimberHeightTilt::split(&pose).unwrap();
         let back = rest.join(&climber);
         assert!((back.translation.vector - pose.translation.vector).norm() < 1e-12);
         assert!(back.rotation.angle_to(&pose.rotation) < 1e-9);

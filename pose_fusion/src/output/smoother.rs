@@ -13,9 +13,59 @@ use crate::{
 };
 use nalgebra::{Cholesky, Const};
 
+/// Length of a batch of smoothed odometry, s.
+const BATCH: f64 = 60.0;
+/// Later data that a smoothed estimate knows at least, s: biases and time offset are found in less.
+const LAG: f64 = 20.0;
+
+/// Entries that are still to be smoothed, where that was asked for.
+#[derive(Clone, Debug, Default)]
+pub struct Archive(Option<Vec<Entry>>);
+
+impl Archive {
+    /// Keeps entries from now on: about 1 MB per second.
+    pub fn enable(&mut self) {
+        self.0.get_or_insert_default();
+    }
+
+    /// Keeps an entry that nothing changes any more.
+    pub fn add(&mut self, entry: Option<&Entry>) {
+        if let Some(entries) = &mut self.0 {
+            entries.extend(entry.cloned());
+        }
+    }
+
+    /// Returns `output` of the IMU samples with their smoothed states that later data no longer
+    /// change, at the `end` of all. `gravity` in m/s².
+    pub fn smoothed<T>(
+        &mut self,
+        end: bool,
+        gravity: f64,
+        output: impl Fn(&Entry, &State) -> T,
+    ) -> Vec<T> {
+        let entries = self.0.as_deref().unwrap_or_default();
+        let (Some(first), Some(last)) = (entries.first(), entries.last()) else {
+            return Vec::new();
+        };
+        // A clock that was set back is no reason to wait.
+        let (span, last) = (last.stamp.seconds_since(first.stamp), last.stamp);
+        if !end && (0.0..=BATCH + LAG).contains(&span) {
+            return Vec::new();
+        }
+        let states = smooth(entries, gravity);
+        let until = if end { last } else { last.plus_seconds(-LAG) };
+        let later = entries.iter().rev().take_while(|e| e.stamp > until && e.stamp <= last);
+        let ready = entries.len() - later.count();
+        let smoothed = entries.iter().zip(&states).take(ready).filter(|(e, _)| e.is_imu());
+        let smoothed = smoothed.map(|(entry, state)| output(entry, state)).collect();
+        self.0.iter_mut().for_each(|entries| drop(entries.drain(..ready)));
+        smoothed
+    }
+}
+
 /// Returns the smoothed states of entries in the order of time. Nothing behind a state that was set
 /// is known before it. `gravity` in m/s².
-pub fn smooth(entries: &[Entry], gravity: f64) -> Vec<State> {
+fn smooth(entries: &[Entry], gravity: f64) -> Vec<State> {
     let mut states: Vec<State> = Vec::with_capacity(entries.len());
     let Some(calibration) = entries.last().map(|entry| entry.state.calibration) else {
         return states;

@@ -47,7 +47,7 @@ pub struct Swing {
 
 /// Motion of platform and climber, and where the rope is attached.
 #[derive(Clone, Copy)]
-struct Motion<'a> {
+struct PlatformMotion<'a> {
     position: Vector3<f64>,
     velocity: Vector3<f64>,
     attitude: UnitQuaternion<f64>,
@@ -61,7 +61,7 @@ struct Motion<'a> {
     climber_attachment: Vector3<f64>,
 }
 
-impl Motion<'_> {
+impl PlatformMotion<'_> {
     /// Position and velocity of a point of the platform (IMU frame) relative to a point of the
     /// climber, in the climber's axes.
     fn relative(
@@ -130,7 +130,7 @@ pub fn swing(
     pendulum: &PendulumConfig,
     settings: &Settings,
 ) -> Swing {
-    let motion = Motion {
+    let motion = PlatformMotion {
         position: state.position,
         velocity: state.velocity,
         attitude: state.attitude,

@@ -93,7 +93,7 @@ pub enum Warning {
         "the encoders repeat one reading since {since}, and the images show that the climber moves: \
          they may be frozen, and are not used until they are consistent with the estimate again"
     )]
-    EncodersFrozen { since: Stamp },
+    EncodersStuck { since: Stamp },
     #[error("the encoders are consistent with the estimate again at {stamp} and are used")]
     EncodersResumed { stamp: Stamp },
     #[error(

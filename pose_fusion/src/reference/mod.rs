@@ -3,6 +3,5 @@
 mod gyro_attitude;
 pub mod marker_measurement;
 pub mod paper;
-pub mod published_filter;
 pub mod published_pose;
 pub mod single_image;

@@ -3,48 +3,54 @@
 
 use crate::{
     config::{FusionConfig, PaperMeasurement},
-    output::Odometry,
+    health::{
+        pose_status::{PoseState, PoseStatus, StatusTimer},
+        status::{Counts, InputCounts, Status, TimeOffsetStatus},
+    },
+    output::{Odometry, largest_sigma},
     reference::{
         gyro_attitude::GyroAttitude,
-        marker_measurement::{plane_residual, world_rates},
+        marker_measurement::{correction, euler, plane_residual, vector, world_rates},
         single_image::Visual,
     },
+    timeline::{arrival::Source, dropout::GAP},
 };
-use nalgebra::{Isometry3, Matrix6, SMatrix, SVector, UnitQuaternion, Vector3, Vector6};
-use rig_model::{ImuSample, OrientationSample, Rig, Stamp, wrap_angle};
+use nalgebra::{Isometry3, Matrix6, SMatrix, UnitQuaternion, Vector3, Vector6};
+use rig_model::{ImuSample, OrientationSample, Rig, Sample, Stamp, wrap_angle};
 use std::collections::VecDeque;
 
 /// Largest number of waiting IMU samples: ten seconds at 100 Hz.
 const WAITING: usize = 1024;
-
 /// A stamp this far before the newest one of its source is of a clock that was set back, s.
 const SET_BACK: f64 = 1.0;
 
-/// Published filter.
+/// Published filter. The time offsets of camera and climber are those configured: the paper
+/// estimates none. Its time is that of the IMU.
 #[derive(Debug)]
 pub struct Paper {
-    pub(super) config: FusionConfig,
+    config: FusionConfig,
     rig: Rig,
-    /// The IMU outputs its own attitude.
-    own_attitude: bool,
-    computed_attitude: GyroAttitude,
+    /// Attitude of an IMU that has not output its own.
+    computed_attitude: Option<GyroAttitude>,
     waiting: VecDeque<ImuSample>,
     last_sample: Option<ImuSample>,
     /// Rotation of east-north-up to the world, rad; known from the first visual pose on.
     heading: Option<f64>,
     velocity: Vector3<f64>,
     moved: Vector3<f64>,
-    pub(super) state: Option<Estimate>,
+    state: Option<Estimate>,
     /// Stamp of the newest image that gave a pose, and its number of markers.
-    pub(super) last_visual: Option<(Stamp, u8)>,
+    last_visual: Option<(Stamp, u8)>,
+    images: u64,
+    status_timer: StatusTimer,
 }
 
 #[derive(Clone, Debug)]
-pub(super) struct Estimate {
+struct Estimate {
     stamp: Stamp,
     pose: Vector6<f64>,
     /// Of x, y, z, roll, pitch and yaw.
-    pub(super) covariance: Matrix6<f64>,
+    covariance: Matrix6<f64>,
     imu_rotation: Vector3<f64>,
 }
 
@@ -54,8 +60,7 @@ impl Paper {
         Self {
             config: config.clone(),
             rig: rig.clone(),
-            own_attitude: false,
-            computed_attitude: GyroAttitude::default(),
+            computed_attitude: Some(GyroAttitude::default()),
             waiting: VecDeque::with_capacity(WAITING),
             last_sample: None,
             heading: None,
@@ -63,21 +68,42 @@ impl Paper {
             moved: Vector3::zeros(),
             state: None,
             last_visual: None,
+            images: 0,
+            status_timer: StatusTimer::default(),
         }
     }
 
     /// Discards the estimate.
     pub fn reset(&mut self) {
         *self = Self {
-            own_attitude: self.own_attitude,
-            computed_attitude: std::mem::take(&mut self.computed_attitude),
+            computed_attitude: self.computed_attitude.take(),
+            images: self.images,
+            status_timer: std::mem::take(&mut self.status_timer),
             ..Self::new(&self.rig, &self.config)
         };
     }
 
+    /// Takes in one input with its visual pose, if it is an image that has one; of an image returns
+    /// the fused estimate.
+    pub fn handle(&mut self, input: &Sample, visual: Option<&Visual>) -> Option<Odometry> {
+        match input {
+            Sample::Imu(sample) => {
+                self.imu(sample);
+                None
+            }
+            Sample::Markers(markers) => {
+                self.images += 1;
+                let odometry = self.image(self.imu_time(Source::Image, markers.stamp), visual)?;
+                self.status_timer.0 = Some(odometry.stamp);
+                Some(odometry)
+            }
+            Sample::Climber(_) | Sample::Camera(_) => None,
+        }
+    }
+
     /// Takes in an IMU sample, which waits for the next image. Once the IMU has output its own
     /// attitude, a sample without it is not used.
-    pub fn imu(&mut self, sample: &ImuSample) {
+    fn imu(&mut self, sample: &ImuSample) {
         let attitude = sample.orientation.iter().flat_map(|o| &o.enu_from_imu.coords);
         let numbers = sample.specific_force.iter().chain(&sample.angular_velocity).chain(attitude);
         if !numbers.into_iter().all(|x| x.is_finite()) {
@@ -100,23 +126,21 @@ impl Paper {
     fn with_attitude(&mut self, sample: &ImuSample) -> Option<ImuSample> {
         let mut sample = *sample;
         if sample.orientation.is_some() {
-            if !self.own_attitude {
+            if self.computed_attitude.is_some() {
                 // Both attitudes have a heading of their own.
                 self.reset();
-                self.own_attitude = true;
+                self.computed_attitude = None;
             }
-        } else if self.own_attitude {
-            return None;
         } else {
-            let enu_from_imu = self.computed_attitude.update(&sample)?;
+            let enu_from_imu = self.computed_attitude.as_mut()?.update(&sample)?;
             sample.orientation = Some(OrientationSample { enu_from_imu, covariance: None });
         }
         Some(sample)
     }
 
     /// Takes in an image with its visual pose, if any, and returns the fused estimate.
-    pub fn image(&mut self, stamp: Stamp, visual: Option<&Visual>) -> Option<Odometry> {
-        let newest = self.stamp();
+    fn image(&mut self, stamp: Stamp, visual: Option<&Visual>) -> Option<Odometry> {
+        let newest = self.last_output();
         if newest.is_some_and(|n| n.seconds_since(stamp) > SET_BACK) {
             self.reset();
         } else if newest.is_some_and(|n| n >= stamp) {
@@ -165,19 +189,96 @@ impl Paper {
         Some(self.odometry(&state, &sample, speed, dt))
     }
 
-    /// Returns the stamp of the estimate.
-    pub fn stamp(&self) -> Option<Stamp> {
+    /// Returns the stamp of the newest odometry of the estimate.
+    fn last_output(&self) -> Option<Stamp> {
         self.state.as_ref().map(|s| s.stamp)
     }
 
+    /// Returns the status where it is due at an input's stamp while no image gives a pose.
+    pub fn due_status(&mut self, from: Source, stamp: Stamp) -> Option<PoseStatus> {
+        let now = self.imu_time(from, stamp);
+        let silent = self.silence(now) > self.config.status.max_image_age;
+        (silent && self.status_timer.is_due(now)).then(|| self.pose_status(now))
+    }
+
+    /// Returns the status at an instant of IMU time.
+    pub fn pose_status(&self, now: Stamp) -> PoseStatus {
+        let time_offset = self.config.tight.clock.camera_offset;
+        let Some(state) = &self.state else {
+            return PoseStatus::initializing(now, time_offset, self.missing().to_owned());
+        };
+        let age = |s: Option<Stamp>| s.map_or(f64::INFINITY, |s| now.seconds_since(s).max(0.0));
+        let image_age = age(self.last_visual.map(|(stamp, _)| stamp));
+        let imu_age = age(self.newest_imu());
+        // A visual pose rests on an encoder reading of its instant.
+        let ages = [image_age, imu_age, image_age];
+        let limits = &self.config.status;
+        let mut status = PoseStatus {
+            position_sigma: largest_sigma(&state.covariance, 0),
+            rotation_sigma: largest_sigma(&state.covariance, 3),
+            markers_used: self.last_visual.map_or(0, |(_, markers)| markers),
+            ..PoseStatus::lost(now, ages, time_offset, String::new())
+        }
+        .judged(limits, imu_age > GAP, None);
+        let silence = self.silence(now);
+        if silence > limits.max_image_age {
+            (status.state, status.valid) = (PoseState::Lost, false);
+            status.reason = format!(
+                "no climber/markers for {silence:.1} s: the published filter outputs a pose with \
+                 images only"
+            );
+        } else if status.state == PoseState::Coasting {
+            // The published covariance does not contain what an acceleration's error becomes.
+            let drift = self.config.tight.imu.accelerometer_bias * image_age * image_age / 2.0;
+            status.valid &= drift <= limits.max_position_sigma;
+            status.reason = format!(
+                "two or more markers hidden, or no climber/transform: {}; the doubly integrated \
+                 accelerations carry the pose and may be off by {drift:.2} m",
+                status.reason
+            );
+        }
+        status
+    }
+
+    /// Returns counters and insights for diagnostics.
+    pub fn status(&self) -> Status {
+        let offset = self.config.tight.clock.camera_offset;
+        let (configured, sigma, searching) = (offset, f64::NAN, false);
+        let inputs = InputCounts { images: self.images, ..InputCounts::default() };
+        let state = self.state.as_ref();
+        Status {
+            initialized: state.is_some(),
+            newest_imu: self.newest_imu(),
+            position_sigma: state.map_or(f64::INFINITY, |s| largest_sigma(&s.covariance, 0)),
+            time_offset: TimeOffsetStatus { offset, configured, sigma, searching },
+            counts: Counts { inputs, ..Counts::default() },
+            ..Status::default()
+        }
+    }
+
+    /// Returns the stamp of an input in IMU time.
+    fn imu_time(&self, from: Source, stamp: Stamp) -> Stamp {
+        let clock = &self.config.tight.clock;
+        match from {
+            Source::Imu => stamp,
+            Source::Image => stamp.plus_seconds(clock.camera_offset),
+            Source::Encoders => stamp.plus_seconds(clock.climber_offset + clock.camera_offset),
+        }
+    }
+
+    /// Returns the time since the newest odometry, s.
+    fn silence(&self, now: Stamp) -> f64 {
+        self.last_output().map_or(f64::INFINITY, |last| now.seconds_since(last))
+    }
+
     /// Returns the stamp of the newest IMU sample.
-    pub fn newest_imu(&self) -> Option<Stamp> {
+    fn newest_imu(&self) -> Option<Stamp> {
         self.waiting.back().or(self.last_sample.as_ref()).map(|s| s.stamp)
     }
 
     /// Whether the attitude is computed here, because the IMU outputs none.
     pub fn computes_attitude(&self) -> bool {
-        !self.own_attitude && self.newest_imu().is_some()
+        self.computed_attitude.is_some() && self.newest_imu().is_some()
     }
 
     /// Returns what the initialization waits for; empty where there is an estimate.
@@ -263,6 +364,7 @@ impl Paper {
         dt: f64,
     ) -> Odometry {
         let x = &state.pose;
+        let position = Vector3::new(x[0], x[1], x[2]);
         let rotation = UnitQuaternion::from_euler_angles(x[3], x[4], x[5]);
         // Roll, pitch and yaw are about other axes than the world's.
         let mut jacobian = Matrix6::identity();
@@ -271,10 +373,7 @@ impl Paper {
         let dt = dt.max(1e-3);
         Odometry {
             stamp: state.stamp,
-            world_from_volant: Isometry3::from_parts(
-                Vector3::new(x[0], x[1], x[2]).into(),
-                rotation,
-            ),
+            world_from_volant: Isometry3::from_parts(position.into(), rotation),
             pose_covariance: (pose_covariance + pose_covariance.transpose()) * 0.5,
             linear_velocity: rotation.inverse() * speed,
             angular_velocity: self.rig.imu.volant_from_imu.rotation * sample.angular_velocity,
@@ -284,31 +383,4 @@ impl Paper {
             })),
         }
     }
-}
-
-/// Step K r and covariance (I − K H) P of a Kalman correction; `None` where the innovation's
-/// covariance is not positive definite.
-fn correction<const N: usize>(
-    covariance: &Matrix6<f64>,
-    jacobian: &SMatrix<f64, N, 6>,
-    noise: &SMatrix<f64, N, N>,
-    residual: &SVector<f64, N>,
-) -> Option<(Vector6<f64>, Matrix6<f64>)> {
-    let innovation = jacobian * covariance * jacobian.transpose() + noise;
-    let cholesky = innovation.cholesky()?;
-    let cross = covariance * jacobian.transpose();
-    let reduction = cross * cholesky.solve(&cross.transpose());
-    let step = cross * cholesky.solve(residual);
-    Some((step, covariance - (reduction + reduction.transpose()) * 0.5))
-}
-
-/// x, y, z, roll, pitch, yaw.
-fn vector(pose: &Isometry3<f64>) -> Vector6<f64> {
-    let (t, e) = (pose.translation.vector, euler(&pose.rotation));
-    Vector6::new(t.x, t.y, t.z, e.x, e.y, e.z)
-}
-
-fn euler(rotation: &UnitQuaternion<f64>) -> Vector3<f64> {
-    let (roll, pitch, yaw) = rotation.euler_angles();
-    Vector3::new(roll, pitch, yaw)
 }

@@ -9,7 +9,7 @@
 
 use crate::{
     config::{FusionConfig, Model},
-    input::{climber_track::ClimberTrack, imu::Ups, markers::is_usable},
+    input::{climber_track::ClimberTrack, imu::VerticalReferences, markers::is_usable},
     measurements::geometry::ClimberHeightTilt,
     output::PoseEstimate,
     reference::{marker_measurement::SightLine, published_pose::published_pose},
@@ -22,7 +22,7 @@ use rig_model::{
 };
 
 /// Encoder readings further from the image than this do not serve it, s.
-const NEAR: f64 = 0.1;
+const ENCODERS_NEAR: f64 = 0.1;
 /// Smallest uncertainty of the IMU's own roll and pitch, rad.
 const ATTITUDE_FLOOR: f64 = 1e-3;
 /// Squares of four markers' residuals beside the best pose are expected to sum up to this; beyond
@@ -53,7 +53,7 @@ impl Visual {
 pub struct SingleImagePose {
     rig: Rig,
     camera: Option<CameraModel>,
-    ups: Ups,
+    verticals: VerticalReferences,
     climber: ClimberTrack,
     /// `world_from_volant` of the newest visual pose.
     last: Option<(Stamp, Isometry3<f64>)>,
@@ -66,7 +66,7 @@ impl SingleImagePose {
         Self {
             rig,
             camera: None,
-            ups: Ups::default(),
+            verticals: VerticalReferences::default(),
             climber: ClimberTrack::new(&config.tight.climber),
             last: None,
             config: config.clone(),
@@ -75,7 +75,7 @@ impl SingleImagePose {
 
     /// Discards everything but the camera.
     pub fn reset(&mut self) {
-        self.ups = Ups::default();
+        self.verticals = VerticalReferences::default();
         self.climber = ClimberTrack::new(&self.config.tight.climber);
         self.last = None;
     }
@@ -85,7 +85,7 @@ impl SingleImagePose {
         match input {
             Sample::Imu(sample) => {
                 if self.config.visual_use_gravity && self.config.model == Model::Tight {
-                    self.ups.add(sample, ATTITUDE_FLOOR);
+                    self.verticals.add(sample, ATTITUDE_FLOOR);
                 }
             }
             Sample::Markers(markers) => return self.estimate(markers),
@@ -97,17 +97,13 @@ impl SingleImagePose {
 
     /// Takes in an encoder reading.
     fn climber(&mut self, sample: &ClimberSample) {
-        let pose = &sample.world_from_climber;
-        if !pose.translation.vector.iter().chain(pose.rotation.coords.iter()).all(|x| x.is_finite())
-        {
-            return;
-        }
+        let split = ClimberHeightTilt::split(&sample.world_from_climber);
+        let Some((values, rest)) = split else { return };
         // A looped bag starts again.
         let ahead = self.climber.newest().map(|(newest, ..)| newest.seconds_since(sample.stamp));
         if ahead.is_some_and(|ahead| ahead > 1.0) {
             self.reset();
         }
-        let (values, rest) = ClimberHeightTilt::split(pose);
         self.climber.add(sample.stamp, values, rest);
     }
 
@@ -129,7 +125,7 @@ impl SingleImagePose {
         } else {
             let mut found = planar_pose::candidates(&self.rig.markers, camera, &pixels, None);
             found.retain(within);
-            let up = self.ups.at(stamp.plus_seconds(self.config.tight.clock.camera_offset));
+            let up = self.verticals.at(stamp.plus_seconds(self.config.tight.clock.camera_offset));
             let cost = |c: &PlanarPose| {
                 let rotation = (world_from_camera * c.camera_from_volant).rotation;
                 let unlikely = match (up, last) {
@@ -192,7 +188,7 @@ impl SingleImagePose {
     /// `world_from_climber` at an image's stamp, with the sigmas of place (m) and turn (rad).
     fn climber_at(&self, stamp: Stamp) -> Option<(Isometry3<f64>, [f64; 2])> {
         let read = stamp.plus_seconds(-self.config.tight.clock.climber_offset);
-        let at = self.climber.at(read).filter(|at| at.distance < NEAR)?;
+        let at = self.climber.at(read).filter(|at| at.distance < ENCODERS_NEAR)?;
         let sigma = |axis: usize| at.noise[axis].hypot(at.growth[axis]);
         Some((at.rest.join(&at.values), [sigma(0).max(sigma(1)), sigma(2)]))
     }

@@ -14,7 +14,7 @@ const HELD_UP: f64 = 10.0;
 /// A sample further ahead may have a wrong stamp, s; other messages or the next one confirm it.
 const STRAY: f64 = 0.2;
 /// Number of consecutive samples that confirm a jump.
-const CONFIRMED: u32 = 3;
+const JUMP_CONFIRMED: u32 = 3;
 /// Number of consecutive samples, each later than the one before, in places that have a sample
 /// already, that show a clock that was set back: samples that come in any order fill gaps.
 const REPEATED: u32 = 4;
@@ -136,7 +136,7 @@ impl Arrival {
             // Images have gone on to there without the IMU: they confirm it.
             let followed = self.is_imu_silent()
                 && self.frontier.is_some_and(|end| stamp.seconds_since(end).abs() < JUMP);
-            let needed = if ahead.abs() > JUMP { CONFIRMED } else { 2 };
+            let needed = if ahead.abs() > JUMP { JUMP_CONFIRMED } else { 2 };
             return match (followed || count >= needed, ahead) {
                 (true, ahead) if ahead > 0.0 => ImuArrival::Next(ahead),
                 (true, ahead) if count >= needed => ImuArrival::Back(-ahead),

@@ -8,7 +8,7 @@ use rig_model::Stamp;
 /// Smallest step, s: the filter follows a smaller one by itself.
 const SMALLEST: f64 = 0.05;
 /// After a jump, messages that a stalled computer held up come first, s.
-const SETTLING: f64 = 0.15;
+const STALL_SETTLING: f64 = 0.15;
 /// Number of images that show the new lag, of which each must agree.
 const IMAGES: u32 = 3;
 /// A change of the lag by a step of `s` is that but for this share of `s`.
@@ -143,7 +143,7 @@ impl ClockSteps {
             return None;
         };
         let since = imu.seconds_since(jump.at);
-        if (0.0..SETTLING).contains(&since) {
+        if (0.0..STALL_SETTLING).contains(&since) {
             return None;
         }
         source.changed = source.usual.median().map(|usual| lag - usual);

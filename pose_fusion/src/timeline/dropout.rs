@@ -6,7 +6,7 @@ use crate::ekf::propagation::ProcessNoise;
 /// A longer interval between IMU samples is a gap, s.
 pub const GAP: f64 = 0.05;
 /// A longer gap is not interpolated, s.
-pub const INTERPOLATED: f64 = 0.4;
+pub const BRIDGED: f64 = 0.4;
 /// Before the first sample after a longer gap its reading counts for this time, s.
 pub const HELD: f64 = 0.15;
 /// Specific force of a swing beside its mean, m/s² (1 sigma): 35° at 1 Hz, 0.25 m of rope.

@@ -89,6 +89,8 @@ pub struct History {
     processed: usize,
     /// Entries that were dropped because the history was full.
     pub overflows: u64,
+    /// Half the width of the mean that is the motion at the newest image, s.
+    pub smoothing: f64,
 }
 
 #[allow(clippy::len_without_is_empty, reason = "nobody asks")]

@@ -1,7 +1,7 @@
 //! Processing of the time line: from state to state, event by event, up to its end.
 
 use super::{
-    dropout::{self, GAP, HELD, INTERPOLATED},
+    dropout::{self, BRIDGED, GAP, HELD},
     history::{Entry, Event, History},
 };
 use crate::{
@@ -63,7 +63,7 @@ pub fn step(history: &mut History, context: &Context<'_>, end: Stamp) -> Option<
         return None;
     }
     let (source, imu_noise) =
-        source(history, place).unwrap_or((Source::Uniform, Densities::default()));
+        source(history, place).unwrap_or((ReadingSource::Uniform, Densities::default()));
     let is_image = matches!(history.get(place)?.event, Event::Image { .. });
     let smoothed = if is_image { history.motion(place) } else { None };
     let (from, to) = history.step(place)?;
@@ -73,15 +73,15 @@ pub fn step(history: &mut History, context: &Context<'_>, end: Stamp) -> Option<
     let mut noise = context.noise;
     (noise.force, noise.rate) = (imu_noise.force, imu_noise.rate);
     let reading = match source {
-        Source::Uniform => {
+        ReadingSource::Uniform => {
             noise = dropout::blind(&noise);
             ImuReading::of_uniform_motion(&from.state, gravity)
         }
-        Source::Held { reading, seconds } => {
+        ReadingSource::Held { reading, seconds } => {
             noise = dropout::extrapolated(&noise, seconds);
             reading
         }
-        Source::Interpolated { share, next, gap } => {
+        ReadingSource::Interpolated { share, next, gap } => {
             if let Some(seconds) = gap {
                 noise = dropout::interpolated(&noise, seconds);
             }
@@ -92,7 +92,7 @@ pub fn step(history: &mut History, context: &Context<'_>, end: Stamp) -> Option<
         to.reading = reading;
     }
     to.motion = to.reading.into();
-    let (start, end) = if let Source::Interpolated { .. } = source {
+    let (start, end) = if let ReadingSource::Interpolated { .. } = source {
         to.motion = smoothed.map_or(to.motion, |(motion, _)| motion);
         let Densities { force, rate } = context.noise_of_changes;
         noise.change = to.motion.change_since(&from.motion, [force, rate]);
@@ -105,7 +105,7 @@ pub fn step(history: &mut History, context: &Context<'_>, end: Stamp) -> Option<
     propagate(&mut to.state, &start, &end, dt, gravity, &noise);
     let unseen = from.unseen;
     to.unseen = unseen + dt;
-    let blind = !matches!(source, Source::Interpolated { gap: None, .. });
+    let blind = !matches!(source, ReadingSource::Interpolated { gap: None, .. });
     let smoothing = smoothed.map_or(0.0, |(_, half_width)| half_width);
     let step = apply(to, unseen, blind, smoothing, context);
     history.set_processed(place + 1);
@@ -156,7 +156,7 @@ fn apply(
 }
 
 /// Where the readings of a step come from.
-enum Source {
+enum ReadingSource {
     /// No IMU sample within reach: uniform motion.
     Uniform,
     /// The reading of the first sample after a long gap, this many seconds later.
@@ -167,23 +167,23 @@ enum Source {
 
 /// Returns where the readings of the step to a place come from, and the IMU's noise in it; `None`
 /// without an IMU sample behind the place.
-fn source(history: &History, place: usize) -> Option<(Source, Densities)> {
+fn source(history: &History, place: usize) -> Option<(ReadingSource, Densities)> {
     let (last, next) = (history.last_imu(place)?, history.next_imu(place)?);
     let Event::Imu { noise, .. } = next.event else { return None };
     let (before, entry) = (history.get(place.checked_sub(1)?)?, history.get(place)?);
     let gap = next.stamp.seconds_since(last.stamp);
     let span = next.stamp.seconds_since(before.stamp);
-    let source = if gap <= INTERPOLATED {
+    let source = if gap <= BRIDGED {
         let share = if span > 0.0 { entry.stamp.seconds_since(before.stamp) / span } else { 0.0 };
-        Source::Interpolated {
+        ReadingSource::Interpolated {
             share: share.clamp(0.0, 1.0),
             next: next.reading,
             gap: (gap > GAP).then_some(gap),
         }
     } else if span < HELD {
-        Source::Held { reading: next.reading, seconds: span }
+        ReadingSource::Held { reading: next.reading, seconds: span }
     } else {
-        Source::Uniform
+        ReadingSource::Uniform
     };
     Some((source, noise))
 }

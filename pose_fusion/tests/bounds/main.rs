@@ -14,7 +14,7 @@ use common::{
 use nalgebra::{Matrix3, Vector3};
 use pose_fusion::{
     Fusion, FusionConfig, Input, Odometry,
-    Warning::{EncoderStep, EncodersFrozen, EncodersSuspended},
+    Warning::{EncoderStep, EncodersStuck, EncodersSuspended},
 };
 use rig_model::{
     CameraModel, Rig, Stamp,
@@ -114,7 +114,7 @@ fn against_rig(
             .warnings
             .iter()
             .filter(|w| {
-                matches!(w, EncodersFrozen { .. } | EncodersSuspended { .. } | EncoderStep { .. })
+                matches!(w, EncodersStuck { .. } | EncodersSuspended { .. } | EncoderStep { .. })
             })
             .count();
     }

@@ -90,7 +90,7 @@ fn late_encoders_bound_the_drift_by_their_delay() {
     assert!(error < 0.1, "{error} m");
 }
 
-/// Before, encoders that stood were taken for frozen where images alone do not follow the platform.
+/// Before, encoders that stood were taken for stuck where images alone do not follow the platform.
 #[test]
 fn standing_encoders_are_right_while_the_imu_is_silent() {
     let motion =
@@ -103,8 +103,8 @@ fn standing_encoders_are_right_while_the_imu_is_silent() {
         _ => Some(input),
     });
     let (_, outputs) = scoring::follow(FusionConfig::default(), inputs);
-    let frozen = |w: &Warning| matches!(w, Warning::EncodersFrozen { .. });
-    assert_eq!(outputs.warnings.iter().find(|w| frozen(w)), None);
+    let stuck = |w: &Warning| matches!(w, Warning::EncodersStuck { .. });
+    assert_eq!(outputs.warnings.iter().find(|w| stuck(w)), None);
 }
 
 /// Before, it was valid at once: with a wrong unit the adopted encoders contradict again.

@@ -5,9 +5,9 @@
 mod common;
 mod encoders;
 mod encoders_alone;
-mod frozen;
 mod imu_bursts;
 mod starts;
+mod stuck;
 mod without_imu;
 
 use common::{

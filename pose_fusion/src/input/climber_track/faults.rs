@@ -1,6 +1,6 @@
-//! Detection of encoder readings that are frozen or leap.
+//! Detection of encoder readings that are stuck or leap.
 
-use super::{ClimberTrack, MOVING_SPAN, MOVING_STEPS, NEAR, Reading, SPEED, way};
+use super::{ClimberTrack, MOVING_SPAN, MOVING_STEPS, RATE_SPAN, Reading, SPEED, way};
 use rig_model::Stamp;
 
 /// Number of equal readings of encoders that stand, and their shortest time, s: at a high rate
@@ -9,7 +9,7 @@ const STANDING: usize = 3;
 const SHORTEST: f64 = 0.03;
 /// Largest acceleration of a drive (m/s², m/s², rad/s²).
 const BRAKES: [f64; 3] = [3.0, 3.0, 2.0];
-/// Readings that have been equal for this time may be frozen, s.
+/// Readings that have been equal for this time may be stuck, s.
 pub const STOOD: f64 = 0.2;
 /// Readings leap where they differ by more than this (m, m, rad) beside three sigma of the speed.
 const LEAP: f64 = 0.05;
@@ -23,7 +23,7 @@ fn is_in_reach(to: &Reading, from: &Reading, slack: f64) -> bool {
 }
 
 impl ClimberTrack {
-    /// Returns for each axis whether the newest readings are equal: at rest, or frozen.
+    /// Returns for each axis whether the newest readings are equal: at rest, or stuck.
     pub fn standing(&self) -> [bool; 3] {
         let equal = |i: usize| {
             let newest = || self.readings.iter().rev().take(STANDING).map(|(_, values, _)| values);
@@ -57,15 +57,15 @@ impl ClimberTrack {
         })
     }
 
-    /// Notes the axes whose encoders may have been frozen since an instant, until they move.
-    pub fn suspect_frozen(&mut self, since: [Option<Stamp>; 3]) {
-        self.frozen = std::array::from_fn(|i| self.frozen[i].or(since[i]));
+    /// Notes the axes whose encoders may have been stuck since an instant, until they move.
+    pub fn suspect_stuck(&mut self, since: [Option<Stamp>; 3]) {
+        self.stuck = std::array::from_fn(|i| self.stuck[i].or(since[i]));
     }
 
-    /// Returns whether two neighboring readings within `NEAR` of `stamp` differ by more than a
+    /// Returns whether two neighboring readings within `RATE_SPAN` of `stamp` differ by more than a
     /// climber moves between them: neither position nor rate can be derived from them.
     pub fn leaps_near(&self, stamp: Stamp) -> bool {
-        let near = |at: &Stamp| at.seconds_since(stamp).abs() < NEAR;
+        let near = |at: &Stamp| at.seconds_since(stamp).abs() < RATE_SPAN;
         let pairs = self.readings.iter().zip(self.readings.iter().skip(1));
         pairs.filter(|(a, b)| near(&a.0) || near(&b.0)).any(|(a, b)| !is_in_reach(b, a, LEAP))
     }
@@ -113,14 +113,14 @@ impl ClimberTrack {
         self.readings.partition_point(|(at, _, _)| at.seconds_since(stamp) < -1e-6)
     }
 
-    /// Returns whether an axis may be frozen.
-    pub fn may_be_frozen(&self) -> bool {
-        self.frozen.iter().any(Option::is_some)
+    /// Returns whether an axis may be stuck.
+    pub fn may_be_stuck(&self) -> bool {
+        self.stuck.iter().any(Option::is_some)
     }
 
-    /// Forgets that an axis may be frozen: the climber has been seen to stand.
-    pub fn clear_frozen(&mut self) {
-        self.frozen = [None; 3];
+    /// Forgets that an axis may be stuck: the climber has been seen to stand.
+    pub fn clear_stuck(&mut self) {
+        self.stuck = [None; 3];
     }
 }
 
@@ -149,17 +149,17 @@ mod tests {
     #[test]
     fn an_axis_that_stopped_is_distinguished_from_one_that_stood_and_from_one_that_creeps() {
         let mut track = ClimberTrack::new(&ClimberConfig::default());
-        let mut frozen = None;
+        let mut stuck = None;
         for i in 0..60 {
             let t = f64::from(i) * 0.02;
-            // x freezes after 1 s, y stands, and the turn goes on.
+            // x gets stuck after 1 s, y stands, and the turn goes on.
             let x = (0.12 * t.min(1.0) * 1e3).round() * 1e-3;
             track.add(START.plus_seconds(t), Vector3::new(x, 0.5, 0.3 * t), rest());
             let [stopped, stood, turning] = track.stopped_since();
             assert_eq!((stood, turning), (None, None));
-            frozen = frozen.or(stopped.map(|at| (t, at.seconds_since(START))));
+            stuck = stuck.or(stopped.map(|at| (t, at.seconds_since(START))));
         }
-        let (found, since) = frozen.unwrap();
+        let (found, since) = stuck.unwrap();
         assert!((since - 1.0).abs() < 0.021 && found < 1.09, "since {since}, found at {found}");
         assert_eq!(track.standing(), [true, true, false]);
         // At 10 mm/s three readings may be equal.

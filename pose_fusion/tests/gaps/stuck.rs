@@ -1,29 +1,29 @@
-//! Encoders that freeze, and a climber that runs into its stop and looks like that.
+//! Encoders that get stuck, and a climber that runs into its stop and looks like that.
 
 use super::common::{laps, scoring, simulated};
 use pose_fusion::{FusionConfig, Input, Warning};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
 
-/// Largest error (m) while encoders are frozen and until two seconds later, and share of the
+/// Largest error (m) while encoders are stuck and until two seconds later, and share of the
 /// odometry beyond the gate: they are found after half a second at the latest.
-const FROZEN_FAR: f64 = 0.1;
-const FROZEN_BEYOND: f64 = 0.02;
-/// The same where the encoder of one axis freezes alone.
+const STUCK_FAR: f64 = 0.1;
+const STUCK_BEYOND: f64 = 0.02;
+/// The same where the encoder of one axis is stuck alone.
 const ALONE_FAR: f64 = 0.32;
 const ALONE_BEYOND: f64 = 0.11;
 
-/// Encoders of the axes of `frozen` (x, y, turn) repeat one reading for two seconds, from instants
+/// Encoders of the axes of `axes` (x, y, turn) repeat one reading for two seconds, from instants
 /// at which the climber drives, turns around or stands. Returns the largest error, m, and the share
 /// of the odometry beyond the gate, until two seconds after.
-fn freeze(axes: [bool; 3]) -> (f64, f64) {
+fn stuck(axes: [bool; 3]) -> (f64, f64) {
     let (mut far, mut count, mut beyond) = (0.0_f64, 0.0, 0.0);
     for begin in [3.0, 4.0, 5.0, 6.0, 7.0, 8.0] {
-        let frozen = begin..begin + 2.0;
+        let stuck = begin..begin + 2.0;
         for (seed, motion) in simulated::motions() {
             let run = simulated::run(motion, &SensorConfig::nominal(seed));
             let mut held = None;
             let inputs = run.changed(|at, input| {
-                if let (Input::Climber(sample), true) = (input, frozen.contains(&at)) {
+                if let (Input::Climber(sample), true) = (input, stuck.contains(&at)) {
                     let now = &mut sample.world_from_climber;
                     let held = *held.get_or_insert(*now);
                     for axis in (0..2).filter(|axis| axes[*axis]) {
@@ -46,7 +46,7 @@ fn freeze(axes: [bool; 3]) -> (f64, f64) {
                 scoring::judge(&outputs, &run, begin + 3.0, begin + 4.0);
             assert!(
                 position < 0.01 && rotation < 1.0_f64.to_radians(),
-                "{axes:?} frozen from {begin} s, seed {seed}: {position} m, {rotation} rad later"
+                "{axes:?} stuck from {begin} s, seed {seed}: {position} m, {rotation} rad later"
             );
             (far, beyond) = (far.max(worst), beyond + wrong);
         }
@@ -55,17 +55,17 @@ fn freeze(axes: [bool; 3]) -> (f64, f64) {
 }
 
 #[test]
-fn encoders_that_freeze_while_the_climber_moves_do_not_take_the_pose_with_them() {
-    let (far, beyond) = freeze([true; 3]);
-    assert!(far < FROZEN_FAR && beyond < FROZEN_BEYOND, "{far} m, {beyond} beyond the gate");
+fn encoders_stuck_while_the_climber_moves_do_not_take_the_pose_with_them() {
+    let (far, beyond) = stuck([true; 3]);
+    assert!(far < STUCK_FAR && beyond < STUCK_BEYOND, "{far} m, {beyond} beyond the gate");
 }
 
-/// The encoder of one axis freezes while the others go on. One that freezes below 0.15 m/s is a
+/// The encoder of one axis is stuck while the others go on. One that stops below 0.15 m/s is a
 /// drive that brakes, and is not found everywhere; before, none was: 0.42 m.
 #[test]
-fn an_encoder_that_freezes_alone_does_not_take_the_pose_with_it() {
+fn an_encoder_stuck_alone_does_not_take_the_pose_with_it() {
     for axis in 0..3 {
-        let (far, beyond) = freeze(std::array::from_fn(|i| i == axis));
+        let (far, beyond) = stuck(std::array::from_fn(|i| i == axis));
         assert!(
             far < ALONE_FAR && beyond < ALONE_BEYOND,
             "{axis}: {far} m, {beyond} beyond the gate"
@@ -73,7 +73,7 @@ fn an_encoder_that_freezes_alone_does_not_take_the_pose_with_it() {
     }
 }
 
-/// A climber that runs into its stop stands at once as frozen encoders do: images and IMU see it
+/// A climber that runs into its stop stands at once as stuck encoders do: images and IMU see it
 /// stand, and the encoders are used again.
 #[test]
 fn a_climber_that_runs_into_its_stop_keeps_its_encoders() {
@@ -89,7 +89,7 @@ fn a_climber_that_runs_into_its_stop_keeps_its_encoders() {
             let run = simulated::run(motion, &sensors);
             let (fusion, outputs) = scoring::follow(FusionConfig::default(), run.inputs());
             let doubted = |w: &&Warning| {
-                matches!(w, Warning::EncodersFrozen { .. } | Warning::EncodersSuspended { .. })
+                matches!(w, Warning::EncodersStuck { .. } | Warning::EncodersSuspended { .. })
             };
             let count = outputs.warnings.iter().filter(doubted).count();
             let (_, _, position, rotation) = scoring::judge(&outputs, &run, stop, stop + 5.0);

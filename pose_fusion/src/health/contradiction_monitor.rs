@@ -43,7 +43,7 @@ pub enum Response {
 
 /// Count of consecutive contradictions.
 #[derive(Clone, Debug, Default)]
-pub struct LockOut {
+pub struct ContradictionMonitor {
     contradictions: u32,
     since: Option<Stamp>,
     /// Markers of the newest image that were rejected.
@@ -60,7 +60,7 @@ pub struct LockOut {
     replaced: Option<Stamp>,
 }
 
-impl LockOut {
+impl ContradictionMonitor {
     /// Notes that the pose was initialized from an image.
     pub fn initialized(&mut self, image: Stamp) {
         *self = Self {
@@ -167,13 +167,14 @@ mod tests {
     }
 
     /// A count that began with an image at 0 ms.
-    fn initialized() -> LockOut {
-        LockOut { last_used: Some(at(0)), initialized_at: Some(at(0)), ..LockOut::default() }
+    fn initialized() -> ContradictionMonitor {
+        let image = Some(at(0));
+        ContradictionMonitor { last_used: image, initialized_at: image, ..Default::default() }
     }
 
     #[test]
     fn contradictions_in_a_row_make_the_prediction_give_way_and_half_a_second_reinitializes() {
-        let mut lock_out = initialized();
+        let mut monitor = initialized();
         // Stamp (ms), detected and used markers, whether it is excused, what follows.
         for (ms, detected, used, excused, expected) in [
             (30, 4, 4, false, Nothing),
@@ -183,57 +184,57 @@ mod tests {
             (150, 4, 1, false, Nothing),
             (180, 4, 1, false, FollowImages(at(120))),
         ] {
-            assert_eq!(lock_out.note(at(ms), detected, used, 2, excused), expected, "{ms} ms");
+            assert_eq!(monitor.note(at(ms), detected, used, 2, excused), expected, "{ms} ms");
         }
-        lock_out.responded(at(180));
-        assert_eq!(lock_out.note(at(210), 4, 0, 2, false), Nothing);
-        assert_eq!(lock_out.note(at(800), 4, 0, 9, false), Reinitialize(at(210)));
-        assert_eq!(lock_out.last_used, Some(at(90)));
+        monitor.responded(at(180));
+        assert_eq!(monitor.note(at(210), 4, 0, 2, false), Nothing);
+        assert_eq!(monitor.note(at(800), 4, 0, 9, false), Reinitialize(at(210)));
+        assert_eq!(monitor.last_used, Some(at(90)));
         // A single marker contradicts, and an image without markers does not.
-        lock_out = initialized();
+        monitor = initialized();
         let images = [(33, 1), (66, 0), (99, 1)];
-        let responses = images.map(|(ms, detected)| lock_out.note(at(ms), detected, 0, 2, false));
+        let responses = images.map(|(ms, detected)| monitor.note(at(ms), detected, 0, 2, false));
         assert_eq!(responses, [Nothing, Nothing, FollowImages(at(33))]);
         // One contradiction after a gap reinitializes nothing.
-        lock_out = initialized();
+        monitor = initialized();
         let images = [(600, 1), (633, 4), (666, 1)];
-        let responses = images.map(|(ms, used)| lock_out.note(at(ms), 4, used, 6, true));
+        let responses = images.map(|(ms, used)| monitor.note(at(ms), 4, used, 6, true));
         assert_eq!(responses, [Nothing; 3]);
     }
 
     #[test]
     fn one_marker_of_three_keeps_no_pose_that_two_contradict() {
-        let mut lock_out = initialized();
+        let mut monitor = initialized();
         // Excused, as where the time offset is unknown.
         let first = (1..30)
-            .map(|k| (k, lock_out.note(at(33 * k), 3, 1, 6, true)))
+            .map(|k| (k, monitor.note(at(33 * k), 3, 1, 6, true)))
             .find(|(_, response)| *response != Nothing);
         assert_eq!(first, Some((16, Reinitialize(at(33)))));
     }
 
     #[test]
     fn a_marker_is_newly_rejected_once() {
-        let mut lock_out = LockOut::default();
+        let mut monitor = ContradictionMonitor::default();
         let image = |rejected: &[usize]| std::array::from_fn(|i| rejected.contains(&i));
         let images: [&[usize]; 6] = [&[], &[0], &[0], &[0, 2], &[], &[0]];
-        let new = images.map(|rejected| lock_out.rejects(image(rejected)));
+        let new = images.map(|rejected| monitor.rejects(image(rejected)));
         assert_eq!(new, [false, true, false, true, false, true]);
     }
 
     #[test]
     fn three_responses_within_three_seconds_are_a_contradiction_until_three_seconds_passed() {
         let at = |s: i64| Stamp::from_nanos(s * 1_000_000_000);
-        let mut lock_out = LockOut::default();
+        let mut monitor = ContradictionMonitor::default();
         for (second, contradicted) in [(0, false), (2, false), (5, false), (6, false), (7, true)] {
-            lock_out.responded(at(second));
+            monitor.responded(at(second));
             // A new pose does not change what happened.
-            lock_out.initialized(at(second));
-            assert_eq!(lock_out.is_contradicted(at(second)), contradicted, "{second}");
+            monitor.initialized(at(second));
+            assert_eq!(monitor.is_contradicted(at(second)), contradicted, "{second}");
         }
-        assert!(lock_out.is_contradicted(at(9)) && !lock_out.is_contradicted(at(10)));
-        lock_out.replaced(at(20));
-        lock_out.initialized(at(20));
-        assert!(lock_out.is_contradicted(at(20)) && !lock_out.is_contradicted(at(21)));
-        assert!(!lock_out.is_contradicted(at(19)), "the clock was set back");
+        assert!(monitor.is_contradicted(at(9)) && !monitor.is_contradicted(at(10)));
+        monitor.replaced(at(20));
+        monitor.initialized(at(20));
+        assert!(monitor.is_contradicted(at(20)) && !monitor.is_contradicted(at(21)));
+        assert!(!monitor.is_contradicted(at(19)), "the clock was set back");
     }
 }

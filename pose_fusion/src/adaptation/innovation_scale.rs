@@ -47,24 +47,24 @@ pub const PIXEL_NOISE: Tuning = Tuning {
 /// Mean square per degree of freedom of a factor that is far too large.
 const QUIET: f64 = 0.25;
 /// Where images that contradict the prediction are followed, the factor is raised by this.
-pub const CONTRADICTED: f64 = 3.0;
+pub const CONTRADICTION_GROWTH: f64 = 3.0;
 
 /// Factor that follows the excess.
 #[derive(Clone, Debug)]
-pub struct Excess {
+pub struct InnovationScale {
     /// Mean square per degree of freedom.
     pub ratio: f64,
     /// The factor, at least 1.
     pub factor: f64,
 }
 
-impl Default for Excess {
+impl Default for InnovationScale {
     fn default() -> Self {
         Self { ratio: 1.0, factor: 1.0 }
     }
 }
 
-impl Excess {
+impl InnovationScale {
     /// Adds this part of an image's NIS. Returns whether the factor grows.
     pub fn add(&mut self, nis: f64, tuning: &Tuning) -> bool {
         if !nis.is_finite() {
@@ -98,10 +98,10 @@ mod tests {
 
     #[test]
     fn the_model_error_grows_with_an_excess_and_returns() {
-        let mut excess = Excess::default();
+        let mut scale = InnovationScale::default();
         let mut grown = |n: usize, nis: f64| {
-            let count = (0..n).filter(|_| excess.add(nis, &MODEL_ERROR)).count();
-            (count, excess.factor)
+            let count = (0..n).filter(|_| scale.add(nis, &MODEL_ERROR)).count();
+            (count, scale.factor)
         };
         assert_eq!(grown(200, 6.0), (0, 1.0));
         let (count, factor) = grown(200, 18.0);
@@ -112,22 +112,22 @@ mod tests {
 
     #[test]
     fn pixel_noise_a_hundredfold_is_found_within_a_second_and_forgotten_within_six() {
-        let mut excess = Excess::default();
+        let mut scale = InnovationScale::default();
         // Images at 30 Hz, of which the covariance contains the factor.
         let mut until = |variance: f64, done: fn(f64) -> bool| {
             (0..1000)
                 .take_while(|_| {
-                    excess.add(2.0 * variance / excess.factor, &PIXEL_NOISE);
-                    !done(excess.factor)
+                    scale.add(2.0 * variance / scale.factor, &PIXEL_NOISE);
+                    !done(scale.factor)
                 })
                 .count()
         };
         let (found, forgotten) = (until(100.0, |f| f > 50.0), until(1.0, |f| f < 2.0));
         assert!(found < 30 && forgotten < 180, "{found} {forgotten}");
-        excess.raise(f64::NAN, &PIXEL_NOISE);
-        excess.raise(0.1, &PIXEL_NOISE);
-        assert!((1.0..2.0).contains(&excess.factor));
-        excess.raise(1e9, &PIXEL_NOISE);
-        assert_eq!(excess.factor, PIXEL_NOISE.limit);
+        scale.raise(f64::NAN, &PIXEL_NOISE);
+        scale.raise(0.1, &PIXEL_NOISE);
+        assert!((1.0..2.0).contains(&scale.factor));
+        scale.raise(1e9, &PIXEL_NOISE);
+        assert_eq!(scale.factor, PIXEL_NOISE.limit);
     }
 }

@@ -1,0 +1,41 @@
+//! What the initialization waits for.
+
+use super::Filter;
+use rig_model::topics;
+
+impl Filter {
+    /// Returns the topics without a usable message, which the initialization waits for.
+    pub fn absent(&self) -> Vec<&'static str> {
+        let camera = self.setup.geometry.is_none().then_some(topics::CAMERA_INFO);
+        let imu = self.arrival.newest_imu().is_none().then_some(topics::IMU);
+        let climber = self.climber.newest().is_none().then_some(topics::CLIMBER_TRANSFORM);
+        [camera, imu, climber].into_iter().flatten().collect()
+    }
+
+    /// Returns what the initialization waits for; empty where there is a pose.
+    pub fn missing(&self) -> String {
+        let missing = self.absent();
+        if self.is_started() {
+            String::new()
+        } else if !missing.is_empty() {
+            format!("no message on {}", missing.join(", "))
+        } else if self.setup.frozen {
+            "markers are not used: call ~/freeze with false, or ~/reset".to_owned()
+        } else if let Some(force) = self.start.wrong_gravity {
+            format!(
+                "{}: linear_acceleration is {force:.2} m/s^2 upward on average, not {:.2}: its \
+                 unit (not g), sign, orientation, gravity removed?",
+                topics::IMU,
+                self.setup.config.gravity
+            )
+        } else if self.climber.leaps_now() {
+            format!(
+                "{}: the readings leap further than a climber moves: encoder, scale, second \
+                 publisher?",
+                topics::CLIMBER_TRANSFORM
+            )
+        } else {
+            "no image with three markers that fit together".to_owned()
+        }
+    }
+}
