@@ -33,6 +33,8 @@ use rig_model::Stamp;
 /// the gates (0.999 quantile), and where some did not (0.9999 quantile).
 const SHOCK_NIS: f64 = 26.12;
 const SHOCK_NIS_GATED: f64 = 31.83;
+/// Images that follow each other faster show a shock by two of them, s.
+const SHORT: f64 = 0.02;
 /// Largest factor of the model error with which a gated image means a shock.
 const SUDDEN: f64 = 1.5;
 /// Mean square of innovations per degree of freedom from which standing encoders may be stuck.
@@ -210,7 +212,11 @@ impl Filter {
             4 => record.nis > SHOCK_NIS,
             _ => record.against_prediction.is_some_and(|nis| nis > SHOCK_NIS_GATED) && sudden,
         };
-        if is_shock && agrees && !excused && settled {
+        // Within a short interval the velocity that moves the markers so far is so large that false
+        // markers are likelier; the next image tells.
+        let short = last_used.is_some_and(|last| stamp.seconds_since(last) < SHORT);
+        let confirmed = self.monitor.is_surprising_again(is_shock);
+        if is_shock && agrees && !excused && settled && (confirmed || !short) {
             self.add_shock_noise(place, last_used.unwrap_or(stamp), record);
         }
         if let Some(misfit) = &record.misfit {

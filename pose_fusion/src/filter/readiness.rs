@@ -1,9 +1,29 @@
 //! What the initialization waits for.
 
 use super::Filter;
+use crate::timeline::arrival::Source;
 use rig_model::topics;
 
+/// Clocks that differ by more than this are not synchronized, s: images are not as old.
+const APART: f64 = 1.0;
+
 impl Filter {
+    /// Returns which clocks differ.
+    fn clocks_apart(&self) -> Option<String> {
+        let offset = self.setup.camera_offset;
+        [Source::Image, Source::Encoders].into_iter().find_map(|source| {
+            let ahead = self.arrival.ahead_of_imu(source)? + offset;
+            let side = if ahead > 0.0 { "after" } else { "before" };
+            (ahead.abs() > APART).then(|| {
+                format!(
+                    "{source} is stamped {:.1} s {side} {}: synchronize the clocks",
+                    ahead.abs(),
+                    Source::Imu
+                )
+            })
+        })
+    }
+
     /// Returns the topics without a usable message, which the initialization waits for.
     pub fn absent(&self) -> Vec<&'static str> {
         let camera = self.setup.geometry.is_none().then_some(topics::CAMERA_INFO);
@@ -17,6 +37,8 @@ impl Filter {
         let missing = self.absent();
         if self.is_started() {
             String::new()
+        } else if let Some(apart) = self.clocks_apart() {
+            apart
         } else if !missing.is_empty() {
             format!("no message on {}", missing.join(", "))
         } else if self.setup.frozen {

@@ -8,7 +8,7 @@ use crate::{
     health::encoder_trust::Cause,
     initialization::{
         from_image,
-        time_offset::{FINAL, TimeOffset, WINDOW},
+        time_offset::{ACCEPTED, FINAL, TimeOffset, WINDOW},
     },
     input::imu::given,
     measurements::{marker_prediction::linearize, markers::Pixels},
@@ -22,6 +22,8 @@ use rig_model::{Stamp, planar_pose::PlanarPose};
 const OFFSET_LINEAR: f64 = 0.008;
 /// Smallest change of latency that restarts the filter, s; errors of the rig file look smaller.
 const CHANGED: f64 = 0.02;
+/// An offset is far off beyond this many `clock.camera_sigma`.
+const UNLIKELY: f64 = 2.0;
 /// A filter agrees with an alignment within this many sigma of both.
 const AGREES: f64 = 3.0;
 /// Sigmas of filter and alignment from which the filter restarts before the alignment is final.
@@ -32,6 +34,9 @@ const KNOWN: f64 = 0.003;
 const REOPENED: f64 = 0.005;
 /// Tilt by which aligned image poses may miss "up", rad: a swing within the unknown offset.
 const TILT: f64 = 0.1;
+/// Squared misfit of four markers from which they are noisier than they claim: χ² quantile (0.99),
+/// 2 degrees of freedom.
+const LARGE_MISFIT: f64 = 9.21;
 /// An image further from its nearest encoder reading than this is not aligned, s.
 pub(super) const CLIMBER_NEAR: f64 = 0.05;
 
@@ -63,6 +68,9 @@ impl Filter {
             &given(&self.setup.rig.imu),
         );
         let found = found.map(|rest| TimeOffset { offset: middle + rest.offset, ..rest });
+        // One that is known roughly counts where the configuration is far off.
+        let far = UNLIKELY * self.setup.config.clock.camera_sigma;
+        let found = found.filter(|f| f.sigma < ACCEPTED || (offset - f.offset).abs() > far);
         if let Some(found) = found {
             let away = (self.time_offset() - found.offset).abs();
             let agrees = away < found.sigma;
@@ -161,7 +169,9 @@ impl Filter {
         for (axis, variance) in self.images.shake.variance().iter().enumerate() {
             covariance[(axis, axis)] += variance * distance * distance;
         }
-        let mut covariance = to_world * covariance * to_world.transpose();
+        // Markers that contradict each other are noisier than they claim.
+        let misfit = (best.pixel_cost / LARGE_MISFIT).max(1.0);
+        let mut covariance = to_world * covariance * to_world.transpose() * misfit;
         let noise = climber.noise + climber.growth;
         for axis in 0..2 {
             covariance[(axis, axis)] += noise[axis] * noise[axis];

@@ -48,6 +48,8 @@ pub struct ContradictionMonitor {
     since: Option<Stamp>,
     /// Markers of the newest image that were rejected.
     rejected: [bool; 4],
+    /// The newest image shows a shock.
+    surprising: bool,
     /// Newest image that was used and did not contradict.
     pub last_used: Option<Stamp>,
     /// Image that the pose was initialized from, or when it was set.
@@ -81,6 +83,11 @@ impl ContradictionMonitor {
     pub fn rejects(&mut self, rejected: [bool; 4]) -> bool {
         let before = std::mem::replace(&mut self.rejected, rejected);
         (0..4).any(|i| rejected[i] && !before[i])
+    }
+
+    /// Notes whether an image shows a shock; true where the image before did, too.
+    pub fn is_surprising_again(&mut self, surprising: bool) -> bool {
+        std::mem::replace(&mut self.surprising, surprising) && surprising
     }
 
     /// Notes an image of which `used` of `detected` markers were used, and returns what follows.

@@ -52,6 +52,8 @@ const RAILS: [([f64; 4], &str); 7] = [
     ),
 ];
 const TURN: &str = "`turn` is reversed";
+const UNCLEAR: &str = "the rails are reversed or exchanged, or `camera.orientation` is turned about \
+                       the vertical";
 
 /// Climber at an image: x, y (m) and turn (rad).
 #[derive(Clone, Copy, Debug)]
@@ -86,14 +88,17 @@ pub struct EncoderDirections {
     squares: Matrix4<f64>,
     /// Sums of squares of the turn's ways minus and plus those of the encoders, rad² s.
     turns: [f64; 2],
-    /// Direction that explains the motion better: of the rails, or `RAILS.len()`.
-    wrong: Option<usize>,
+    /// Direction that explains the motion better, of the rails, or `RAILS.len()`; whether it is the
+    /// only one.
+    wrong: Option<(usize, bool)>,
 }
 
 impl EncoderDirections {
     /// Returns what is wrong, if other directions explain what images and IMU show.
     pub fn wrong(&self) -> Option<&'static str> {
-        self.wrong.map(|k| RAILS.get(k).map_or(TURN, |(_, text)| text))
+        let (k, clear) = self.wrong?;
+        let named = RAILS.get(k).map_or(TURN, |(_, text)| text);
+        Some(if clear { named } else { UNCLEAR })
     }
 
     /// Begins a new stretch of the time line: the next sample is not compared with those before.
@@ -184,6 +189,8 @@ impl EncoderDirections {
         let given = [self.misfit(&[1.0, 0.0, 0.0, 1.0]), self.turns[0]];
         let rails = RAILS.map(|(directions, _)| self.misfit(&directions));
         let best = (0..RAILS.len()).min_by(|&a, &b| rails[a].total_cmp(&rails[b])).unwrap_or(0);
+        // Rails that move alike fit several directions.
+        let clear = rails.iter().filter(|&&misfit| misfit < RATIO * rails[best]).count() < 2;
         let of = |k: usize| match rails.get(k) {
             Some(rails) => (given[0], *rails, LEAST[0]),
             None => (given[1], self.turns[1], LEAST[1]),
@@ -194,11 +201,13 @@ impl EncoderDirections {
         };
         let holds = |k: &usize| {
             let (given, other, _) = of(*k);
-            given > other
+            RATIO * given > other
         };
-        // A wrong turn shows the rails in wrong directions, too.
+        // A pose that follows wrong encoders tilts, and blurs what the IMU shows: only clear evidence
+        // counts, for and against. A wrong turn shows the rails in wrong directions, too.
         let found = [RAILS.len(), best].into_iter().find(refutes);
-        self.wrong = found.or(self.wrong.filter(holds));
+        let found = found.map(|k| (k, clear || k == RAILS.len()));
+        self.wrong = self.wrong.filter(|(k, _)| holds(k)).or(found);
     }
 }
 

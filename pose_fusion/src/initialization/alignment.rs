@@ -21,8 +21,12 @@ pub(super) const CANDIDATES: usize = 61;
 const SMALLEST_BIAS: f64 = 1e-6;
 /// Fewest images of an alignment.
 pub(super) const FEWEST: usize = 12;
-/// Largest standard deviation of an offset that is returned, s.
-pub(super) const ACCEPTED: f64 = 0.010;
+/// Largest standard deviation of an offset that is known, s, …
+pub const ACCEPTED: f64 = 0.010;
+/// … and of one that is known roughly.
+const ROUGH: f64 = 0.030;
+/// That takes a window of this share of its length.
+const FULL: f64 = 0.95;
 /// Every other candidate further away than this, s …
 const APART: f64 = 0.02;
 /// … must fit worse by this (χ²).
@@ -95,13 +99,21 @@ pub(super) fn align(
     biases: &ImuReading,
 ) -> Option<Aligned> {
     let track = preintegrate(readings, biases);
-    let alignment = Alignment { track: &track, poses, volant_from_imu, gravity, imu, biases };
-    let costs: [Option<Cost>; CANDIDATES] = std::array::from_fn(|i| alignment.cost(candidate(i)));
-    let usable = costs.iter().enumerate().filter_map(|(i, cost)| Some((i, cost.as_ref()?)));
-    let (start, coarse) = usable.min_by(|a, b| a.1.mean().total_cmp(&b.1.mean()))?;
+    let of = |poses| Alignment { track: &track, poses, volant_from_imu, gravity, imu, biases };
+    let mut alignment = of(poses);
+    let mut costs = alignment.costs();
+    let (mut start, mut coarse) = likeliest(&costs)?;
+    // All are compared by the images that the readings reach with the likeliest: without a false
+    // image each fits better, and the fewest images fit best.
+    let common = alignment.reached(candidate(start));
+    if common.len() < poses.len() {
+        alignment = of(&common);
+        costs = alignment.costs();
+        (start, coarse) = likeliest(&costs)?;
+    }
     let refined = alignment.refine(candidate(start));
-    let (offset, best, curvature) = refined.unwrap_or((candidate(start), *coarse, 0.0));
-    let scale = (best.square / (best.rows - UNKNOWNS as f64).max(1.0)).max(SMALLEST);
+    let (offset, best, curvature) = refined.unwrap_or((candidate(start), coarse, 0.0));
+    let scale = best.mean().max(SMALLEST);
     let unit = scale * alignment.excess(offset, noise, scale)?;
     let costs = costs.map(|cost| match cost {
         Some(cost) => (cost.mean() - best.mean()) * best.rows.min(cost.rows) / unit,
@@ -109,13 +121,21 @@ pub(super) fn align(
     });
     let sigma = (2.0 * unit / curvature).sqrt();
     let refuted = others_are_refuted(&costs, 0.0, offset, sigma);
-    let known = curvature > 0.0 && sigma < ACCEPTED && refuted && offset.abs() < REACH - EDGE;
+    let span = poses.last()?.stamp.seconds_since(poses.first()?.stamp);
+    let largest = if span > FULL * WINDOW { ROUGH } else { ACCEPTED };
+    let known = curvature > 0.0 && sigma < largest && refuted && offset.abs() < REACH - EDGE;
     Some(Aligned {
         found: (known && scale < LARGEST).then_some(TimeOffset { offset, sigma }),
         biases: best.biases,
         scale,
         costs,
     })
+}
+
+/// Returns the candidate with the smallest cost, and that.
+fn likeliest(costs: &[Option<Cost>; CANDIDATES]) -> Option<(usize, Cost)> {
+    let usable = costs.iter().enumerate().filter_map(|(i, cost)| Some((i, (*cost)?)));
+    usable.min_by(|a, b| a.1.mean().total_cmp(&b.1.mean()))
 }
 
 /// Motion from reading to reading, without the biases.
@@ -147,8 +167,9 @@ struct Cost {
 }
 
 impl Cost {
+    /// χ² per degree of freedom.
     fn mean(&self) -> f64 {
-        self.square / self.rows
+        self.square / (self.rows - UNKNOWNS as f64).max(1.0)
     }
 }
 
@@ -162,6 +183,20 @@ struct Alignment<'a> {
 }
 
 impl Alignment<'_> {
+    /// Cost of every candidate.
+    fn costs(&self) -> [Option<Cost>; CANDIDATES] {
+        std::array::from_fn(|i| self.cost(candidate(i)))
+    }
+
+    /// Images that the readings reach with an offset and those a step beside it.
+    fn reached(&self, offset: f64) -> Vec<VisualPose> {
+        let reaches = |p: &&VisualPose| {
+            let at = |by: f64| self.at(p.stamp.plus_seconds(offset + by)).is_some();
+            at(-STEP) && at(STEP)
+        };
+        self.poses.iter().filter(reaches).copied().collect()
+    }
+
     /// Cost of an offset; `None` where readings surround less than [`FEWEST`] or half the images.
     fn cost(&self, offset: f64) -> Option<Cost> {
         let motions = self.motions(offset)?;

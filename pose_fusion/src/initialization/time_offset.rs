@@ -2,7 +2,7 @@
 //! (`alignment.rs`) until the offset is known, with the sum of several windows (`windows.rs`) where
 //! one does not suffice. Equations: `docs/src/equations.md`, "Initialization".
 
-pub use super::alignment::{REACH, TimeOffset, WINDOW};
+pub use super::alignment::{ACCEPTED, REACH, TimeOffset, WINDOW};
 use super::{
     alignment::{FEWEST, VisualPose, align},
     windows::Windows,

@@ -62,6 +62,8 @@ struct Since {
     newest: Option<Stamp>,
     /// A message that jumped, which no other has followed yet.
     jumped: Option<Stamp>,
+    /// How far the last message was ahead of the newest IMU sample when it came, s.
+    ahead: Option<f64>,
 }
 
 impl Since {
@@ -176,8 +178,15 @@ impl Arrival {
     /// with, returns by how many seconds it jumps from the one before, until a second message
     /// confirms that.
     pub fn other(&mut self, source: Source, stamp: Stamp) -> Option<f64> {
-        let jump = self.others[source as usize].note(stamp);
+        let since = &mut self.others[source as usize];
+        since.ahead = self.newest_imu.map(|(newest, _)| stamp.seconds_since(newest));
+        let jump = since.note(stamp);
         jump.filter(|_| self.newest_imu.is_none() || self.is_imu_silent())
+    }
+
+    /// Returns by how many seconds the messages of a source come with stamps ahead of the IMU's.
+    pub fn ahead_of_imu(&self, source: Source) -> Option<f64> {
+        self.others[source as usize].ahead.filter(|_| !self.is_imu_silent())
     }
 
     /// Moves the end of the time line to an image while the IMU is silent (IMU time).

@@ -1,7 +1,7 @@
 //! Encoders that are silent, late, or stand while the IMU is silent.
 
 use super::*;
-use nalgebra::Vector3;
+use nalgebra::{Isometry3, Vector3};
 
 /// The climber stands until then, s.
 const DRIVES: f64 = 5.0;
@@ -127,5 +127,56 @@ fn a_pose_with_adopted_encoders_must_hold_for_a_second_before_it_is_valid() {
     for s in outputs.status.iter().filter(|s| s.stamp > adopted) {
         let after = s.stamp.seconds_since(adopted);
         assert_eq!(s.valid, after > 1.0, "{after:.2} s: {s:?}");
+    }
+}
+
+/// Encoders in wrong directions: the pose follows them the wrong way, and only the changes of the
+/// climber's speed contradict them. Before, the pose was valid, up to a meter off.
+#[test]
+fn encoders_in_wrong_directions_are_named_and_the_pose_is_lost() {
+    type Wrong = fn(&mut Isometry3<f64>);
+    let wrong: [(Wrong, Option<&str>); 6] = [
+        (|_| {}, None),
+        (|pose| pose.translation.vector.x *= -1.0, Some("`rail_x` is reversed")),
+        (|pose| pose.translation.vector.y *= -1.0, Some("`rail_y` is reversed")),
+        (
+            |pose| pose.translation.vector.component_mul_assign(&Vector3::new(-1.0, -1.0, 1.0)),
+            Some("both rails are reversed"),
+        ),
+        (
+            |pose| {
+                pose.translation.vector.swap_rows(0, 1);
+                pose.translation.vector.x *= -1.0;
+            },
+            Some("exchanged and one reversed"),
+        ),
+        (|pose| pose.rotation = pose.rotation.inverse(), Some("`turn` is reversed")),
+    ];
+    for (change, named) in wrong {
+        for seed in 1..=2 {
+            let nominal = MotionConfig::nominal(seed);
+            let motion = MotionConfig { duration: 20.0, climber_speed: 0.5, ..nominal };
+            let mut run = simulated::run(motion, &SensorConfig::nominal(seed));
+            for (_, input) in &mut run.inputs {
+                if let Input::Climber(sample) = input {
+                    change(&mut sample.world_from_climber);
+                }
+            }
+            let (fusion, outputs) = scoring::follow(FusionConfig::default(), run.inputs());
+            let status = fusion.status();
+            let about = format!("seed {seed}, {named:?}: {:?}", status.encoders);
+            let found = status.encoders.wrong_directions;
+            let Some(named) = named else {
+                assert_eq!(found, None, "{about}");
+                continue;
+            };
+            let unclear = "the rails are reversed or exchanged";
+            let names = |text: &str| {
+                text.contains(named) || (!named.contains("turn") && text.contains(unclear))
+            };
+            assert!(found.is_some_and(names), "{about}");
+            let last = outputs.status.last().unwrap();
+            assert!(!last.valid && names(&last.reason), "{about}: {last:?}");
+        }
     }
 }

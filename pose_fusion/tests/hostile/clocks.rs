@@ -152,3 +152,20 @@ fn what_comes_behind_a_clock_that_was_set_back_is_smoothed() {
     let smoothed = [fusion.smoothed(false), fusion.smoothed(true)].map(|part| part.len());
     assert!(smoothed[0] > 500 && smoothed[0] + smoothed[1] + 20 > count, "{smoothed:?} of {count}");
 }
+
+/// Clocks that were never synchronized: the reason names them, instead of the markers.
+#[test]
+fn clocks_that_are_apart_from_the_start_are_named() {
+    let run = recording();
+    for by in [-3600.0, -3.0, 3.0, 3600.0] {
+        let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+        let inputs = run.inputs.iter().map(|(_, input)| {
+            shifted(input, if matches!(input, Input::Imu(_)) { by } else { 0.0 })
+        });
+        let outputs = scoring::run(&mut fusion, inputs);
+        let side = if by > 0.0 { "before" } else { "after" };
+        let reason = fusion.missing();
+        let named = reason.contains("synchronize the clocks") && reason.contains(side);
+        assert!(outputs.odometry.is_empty() && named, "{by} s: {reason}");
+    }
+}

@@ -3,12 +3,38 @@
 use super::{Corrected, findings::Finding};
 use crate::{problem::GRAVITY, recording::Recording};
 use nalgebra::Vector3;
-use rig_model::{median, topics};
+use rig_model::{ImuSample, median, topics};
 
 /// Relative deviation of its median that motion and bias explain.
 const TOLERANCE: f64 = 0.15;
+/// Share of samples that equal the one before, above which a sensor is stuck: a coarse resolution at
+/// rest, or samples that are sent twice, give less.
+const REPEATED: f64 = 0.9;
 /// Factor by which the measured noise exceeds the file's where the file is wrong.
 const NOISE: f64 = 10.0;
+
+/// Finds an accelerometer or gyroscope that repeats one value.
+pub(crate) fn examine_repeated(state: &mut Corrected) {
+    let sensors: [(&str, fn(&ImuSample) -> Vector3<f64>); 2] =
+        [("accelerometer", |s| s.specific_force), ("gyroscope", |s| s.angular_velocity)];
+    let imu = &state.samples.imu;
+    for (name, value) in sensors {
+        let repeated = imu.windows(2).filter(|pair| value(&pair[0]) == value(&pair[1])).count();
+        let Some(last) = imu.last().filter(|_| repeated as f64 > REPEATED * imu.len() as f64)
+        else {
+            continue;
+        };
+        let [x, y, z] = value(last).into();
+        state.findings.push(Finding {
+            blocks: true,
+            ..Finding::wrong(
+                &format!("imu.{name}"),
+                format!("the {name} repeats one value ({x}, {y}, {z}): it is stuck or off"),
+                format!("look at the IMU and at the driver that publishes {}", topics::IMU),
+            )
+        });
+    }
+}
 
 /// Compares the median norm of the specific force with gravity.
 pub(crate) fn examine_units(state: &mut Corrected) {

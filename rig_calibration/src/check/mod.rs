@@ -85,6 +85,10 @@ pub fn check(
     if let Some(report) = state.blocked() {
         return Ok(report);
     }
+    inertial::examine_repeated(&mut state);
+    if let Some(report) = state.blocked() {
+        return Ok(report);
+    }
     state.samples.repair();
     for sample in &mut state.samples.climber {
         sample.stamp = sample.stamp.plus_seconds(climber_offset);

@@ -2,7 +2,7 @@ use super::{
     groups::{Cause, GROUPS},
     *,
 };
-use nalgebra::Vector2;
+use nalgebra::{Vector2, Vector3};
 use rig_model::{Distortion, ImuSample, Sample, Stamp};
 use rig_simulator::{
     RIG_YAML,
@@ -53,6 +53,26 @@ fn clocks_that_are_seconds_or_an_hour_apart_accuse_nothing_else() {
             let keys: Vec<&str> = report.findings.iter().map(|f| f.key.as_str()).collect();
             assert_eq!(keys, [key], "{seconds}");
         }
+    }
+}
+
+#[test]
+fn an_imu_that_repeats_one_value_is_what_is_wrong() {
+    let (samples, rig) = recorded();
+    type Change = fn(&mut ImuSample, &ImuSample);
+    let changes: [(Change, &[&str]); 4] = [
+        (|s, first| *s = ImuSample { stamp: s.stamp, ..*first }, &["accelerometer", "gyroscope"]),
+        (|s, _| s.angular_velocity = Vector3::zeros(), &["gyroscope"]),
+        (|s, _| s.specific_force = Vector3::zeros(), &["accelerometer"]),
+        (|s, first| s.angular_velocity = first.angular_velocity, &["gyroscope"]),
+    ];
+    for (change, sensors) in changes {
+        let mut stuck = samples.clone();
+        let first = stuck.imu[0];
+        stuck.imu.iter_mut().for_each(|s| change(s, &first));
+        let report = check(&stuck, &rig, 0.0, None).unwrap();
+        let keys: Vec<String> = report.findings.iter().map(|f| f.key.clone()).collect();
+        assert_eq!(keys, sensors.iter().map(|s| format!("imu.{s}")).collect::<Vec<_>>());
     }
 }
 

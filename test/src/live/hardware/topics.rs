@@ -4,7 +4,7 @@ use super::lock;
 use crate::live::received::{Received, TopicLog};
 use imu_driver::simulated_imu::pty::now;
 use node_kit::{
-    node::{NodeContext, NodeError, Process, Publisher},
+    node::{IfChanged, NodeContext, NodeError, Process, Publisher},
     qos::QosPreset,
 };
 use rig_model::topics;
@@ -80,6 +80,6 @@ fn subscribe<M: Message>(
     let received = Arc::clone(received);
     context.subscribe_optional(topic, preset, move |message: Arc<M>| {
         list(&mut lock(&received)).push((now(), message));
-        None
+        IfChanged::<Option<()>>(None)
     })
 }
