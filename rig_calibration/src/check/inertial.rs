@@ -15,7 +15,8 @@ const NOISE: f64 = 10.0;
 
 /// Finds an accelerometer or gyroscope that repeats one value.
 pub(crate) fn examine_repeated(state: &mut Corrected) {
-    let sensors: [(&str, fn(&ImuSample) -> Vector3<f64>); 2] =
+    type Value = fn(&ImuSample) -> Vector3<f64>;
+    let sensors: [(&str, Value); 2] =
         [("accelerometer", |s| s.specific_force), ("gyroscope", |s| s.angular_velocity)];
     let imu = &state.samples.imu;
     for (name, value) in sensors {
