@@ -42,6 +42,7 @@ fn offsets_up_to_300_ms_are_estimated_to_a_millisecond() {
             let (about, offset) = (format!("{ahead:+.2} s, seed {seed}"), status.time_offset);
             assert!((offset.offset + ahead).abs() < 1.5e-3, "{about}: {offset:?}");
             assert!(offset.sigma < 1e-3 && !offset.searching, "{about}: {offset:?}");
+            assert_eq!(status.encoders.wrong_directions, None, "{about}");
             assert!(
                 score.position_rmse() < 1.5 && score.nees().0 < 6.0 && score.nees().1 < 6.0,
                 "{about}: {score}"

@@ -181,12 +181,10 @@ impl Filter {
 
     /// Compares the directions of the encoders with what images and IMU show of the climber, at the
     /// place of an image.
-    pub(super) fn compare_directions(&mut self, place: usize) {
-        let Some(entry) = self.history.get(place) else { return };
-        let read = self.climber.at(entry.stamp.plus_seconds(-self.encoder_offset()));
-        let comparable = !self.arrival.is_imu_silent();
-        match read.filter(|read| comparable && read.distance < CLIMBER_NEAR) {
-            Some(read) => self.trust.directions.add(&self.history, place, &read.values),
+    pub(super) fn compare_directions(&mut self, place: usize, image: Stamp) {
+        let climber = self.climber_at(image).filter(|climber| climber.distance <= CLIMBER_NEAR);
+        match climber.filter(|_| !self.arrival.is_imu_silent()) {
+            Some(climber) => self.trust.directions.add(&self.history, place, &climber.values),
             None => self.trust.directions.interrupt(),
         }
     }

@@ -157,7 +157,7 @@ impl Filter {
         }
         self.images.shake.add(stamp, record);
         if record.used >= 3 {
-            self.compare_directions(place);
+            self.compare_directions(place, stamp);
         }
         let (Some(entry), Some(geometry)) = (self.history.get(place), &self.setup.geometry) else {
             return false;
@@ -213,11 +213,13 @@ impl Filter {
             _ => record.against_prediction.is_some_and(|nis| nis > SHOCK_NIS_GATED) && sudden,
         };
         // Within a short interval the velocity that moves the markers so far is so large that false
-        // markers are likelier; the next image tells.
+        // markers are likelier; the next image confirms or refutes it.
         let short = last_used.is_some_and(|last| stamp.seconds_since(last) < SHORT);
-        let confirmed = self.monitor.is_surprising_again(is_shock);
-        if is_shock && agrees && !excused && settled && (confirmed || !short) {
-            self.add_shock_noise(place, last_used.unwrap_or(stamp), record);
+        let before = last_used.unwrap_or(stamp);
+        let confirmed = self.monitor.note_shock(is_shock, before);
+        let since = if short { confirmed } else { Some(before) };
+        if let Some(since) = since.filter(|_| is_shock && agrees && !excused && settled) {
+            self.add_shock_noise(place, since, record);
         }
         if let Some(misfit) = &record.misfit {
             if self.setup.config.calibration.marker > 0.0 {

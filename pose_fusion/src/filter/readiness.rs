@@ -1,27 +1,30 @@
 //! What the initialization waits for.
 
 use super::Filter;
-use crate::timeline::arrival::Source;
+use crate::timeline::arrival::{AHEAD, Source};
 use rig_model::topics;
 
-/// Clocks that differ by more than this are not synchronized, s: images are not as old.
-const APART: f64 = 1.0;
+/// Messages that come further behind the IMU samples are not just late, s.
+const BEHIND: f64 = 1.0;
 
 impl Filter {
     /// Returns which clocks differ.
     fn clocks_apart(&self) -> Option<String> {
-        let offset = self.setup.camera_offset;
-        [Source::Image, Source::Encoders].into_iter().find_map(|source| {
-            let ahead = self.arrival.ahead_of_imu(source)? + offset;
-            let side = if ahead > 0.0 { "after" } else { "before" };
-            (ahead.abs() > APART).then(|| {
-                format!(
-                    "{source} is stamped {:.1} s {side} {}: synchronize the clocks",
-                    ahead.abs(),
-                    Source::Imu
-                )
-            })
-        })
+        let camera = self.setup.camera_offset;
+        let encoders = camera + self.setup.config.clock.climber_offset;
+        [(Source::Image, camera), (Source::Encoders, encoders)].into_iter().find_map(
+            |(source, offset)| {
+                let ahead = self.arrival.ahead_of_imu(source)? + offset;
+                let side = if ahead > 0.0 { "after" } else { "before" };
+                (!(-BEHIND..=AHEAD).contains(&ahead)).then(|| {
+                    format!(
+                        "{source} is stamped {:.1} s {side} {}: synchronize the clocks",
+                        ahead.abs(),
+                        Source::Imu
+                    )
+                })
+            },
+        )
     }
 
     /// Returns the topics without a usable message, which the initialization waits for.
@@ -34,10 +37,11 @@ impl Filter {
 
     /// Returns what the initialization waits for; empty where there is a pose.
     pub fn missing(&self) -> String {
-        let missing = self.absent();
         if self.is_started() {
-            String::new()
-        } else if let Some(apart) = self.clocks_apart() {
+            return String::new();
+        }
+        let missing = self.absent();
+        if let Some(apart) = self.clocks_apart() {
             apart
         } else if !missing.is_empty() {
             format!("no message on {}", missing.join(", "))

@@ -262,6 +262,7 @@ impl Filter {
 
     /// Puts a state at an instant of the time line and processes what is behind it.
     pub(super) fn set_state(&mut self, at: Stamp, state: State) {
+        self.trust.directions.interrupt();
         let image = at.plus_seconds(-state.time_offset);
         self.start.initial_offset = state.time_offset;
         self.start.settled = (image, state.time_offset);

@@ -84,6 +84,7 @@ impl Filter {
             // It shows that the filter is far off: the filter restarts, the search goes on.
             Some(found) if self.contradicts(&found) => {
                 self.initialize_time_offset(stamp, found);
+                self.start.offset_doubt = Some(found.sigma);
                 self.search = Some(search);
             }
             _ => self.search = Some(search),

@@ -48,8 +48,8 @@ pub struct ContradictionMonitor {
     since: Option<Stamp>,
     /// Markers of the newest image that were rejected.
     rejected: [bool; 4],
-    /// The newest image shows a shock.
-    surprising: bool,
+    /// Last image used before a shock, where the newest image shows one.
+    shock_since: Option<Stamp>,
     /// Newest image that was used and did not contradict.
     pub last_used: Option<Stamp>,
     /// Image that the pose was initialized from, or when it was set.
@@ -85,9 +85,12 @@ impl ContradictionMonitor {
         (0..4).any(|i| rejected[i] && !before[i])
     }
 
-    /// Notes whether an image shows a shock; true where the image before did, too.
-    pub fn is_surprising_again(&mut self, surprising: bool) -> bool {
-        std::mem::replace(&mut self.surprising, surprising) && surprising
+    /// Notes whether an image shows a shock since `last_used`. Where the image before it did, too,
+    /// returns since when.
+    pub fn note_shock(&mut self, is_shock: bool, last_used: Stamp) -> Option<Stamp> {
+        let before = self.shock_since.filter(|_| is_shock);
+        self.shock_since = is_shock.then_some(before.unwrap_or(last_used));
+        before
     }
 
     /// Notes an image of which `used` of `detected` markers were used, and returns what follows.

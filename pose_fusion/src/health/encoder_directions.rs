@@ -5,13 +5,10 @@
 //! Images show where the platform is beside the climber, the IMU (its specific force integrated
 //! twice) where the platform is up to a linear drift: the difference is the climber. From one
 //! [`SPAN`] to the next its mean velocity changes by an amount that does not depend on that drift.
-//! The sums of squares of the differences from the encoders' changes tell whether other directions
-//! would explain them; the turn is compared by its way in a span.
+//! The sums of squares of the differences from the encoders' changes show whether other directions
+//! would explain them; the turn is compared by its change within a span.
 
-use crate::{
-    ekf::propagation::ImuReading,
-    timeline::history::{Event, History},
-};
+use crate::{ekf::propagation::ImuReading, timeline::history::History};
 use nalgebra::{Matrix2, Matrix4, UnitQuaternion, Vector2, Vector3, Vector4};
 use rig_model::{Stamp, wrap_angle};
 use std::collections::VecDeque;
@@ -39,25 +36,28 @@ const RAILS: [([f64; 4], &str); 7] = [
     ([1.0, 0.0, 0.0, -1.0], "`rail_y` is reversed"),
     ([0.0, 1.0, 1.0, 0.0], "`rail_x` and `rail_y` are exchanged"),
     ([0.0, -1.0, -1.0, 0.0], "`rail_x` and `rail_y` are exchanged and reversed"),
-    ([-1.0, 0.0, 0.0, -1.0], "both rails are reversed, or `camera.orientation` is turned by 180°"),
+    (
+        [-1.0, 0.0, 0.0, -1.0],
+        "both rails are reversed, or `camera.orientation` or `imu.orientation` is turned by 180°",
+    ),
     (
         [0.0, 1.0, -1.0, 0.0],
-        "the rails are exchanged and one reversed, or `camera.orientation` \
-                             is turned by 90°",
+        "the rails are exchanged and one reversed, or `camera.orientation` is turned by 90°",
     ),
     (
         [0.0, -1.0, 1.0, 0.0],
-        "the rails are exchanged and one reversed, or `camera.orientation` \
-                             is turned by -90°",
+        "the rails are exchanged and one reversed, or `camera.orientation` is turned by 90°",
     ),
 ];
+/// What it means that the turn explains its changes in the other direction.
 const TURN: &str = "`turn` is reversed";
-const UNCLEAR: &str = "the rails are reversed or exchanged, or `camera.orientation` is turned about \
-                       the vertical";
+/// The same for rails that fit several other directions.
+const UNCLEAR: &str =
+    "the rails are reversed or exchanged, or `camera.orientation` is turned about the vertical";
 
 /// Climber at an image: x, y (m) and turn (rad).
 #[derive(Clone, Copy, Debug)]
-struct Sample {
+struct ClimberInstant {
     stamp: Stamp,
     /// As images and IMU show it: x and y up to a linear drift, turn up to a constant.
     shown: Vector3<f64>,
@@ -67,7 +67,7 @@ struct Sample {
 
 /// Where the sums continue.
 #[derive(Clone, Copy, Debug)]
-struct Newest {
+struct InertialTrack {
     stamp: Stamp,
     /// Velocity (m/s) and position (m) from the IMU alone, since the first sample.
     inertial: [Vector2<f64>; 2],
@@ -80,14 +80,14 @@ struct Newest {
 /// Comparison of the encoders' directions with images and IMU.
 #[derive(Clone, Debug, Default)]
 pub struct EncoderDirections {
-    newest: Option<Newest>,
-    samples: VecDeque<Sample>,
+    newest: Option<InertialTrack>,
+    samples: VecDeque<ClimberInstant>,
     /// Seconds, and the sums over them of (encoders x, y, shown x, y), m/s, and of its square.
     seconds: f64,
     sum: Vector4<f64>,
     squares: Matrix4<f64>,
-    /// Sums of squares of the turn's ways minus and plus those of the encoders, rad² s.
-    turns: [f64; 2],
+    /// Sums of squares of the turn's changes minus and plus those of the encoders, rad² s.
+    turn_misfits: [f64; 2],
     /// Direction that explains the motion better, of the rails, or `RAILS.len()`; whether it is the
     /// only one.
     wrong: Option<(usize, bool)>,
@@ -111,7 +111,8 @@ impl EncoderDirections {
     pub fn add(&mut self, history: &History, place: usize, read: &Vector3<f64>) {
         let Some(entry) = history.get(place) else { return };
         let (stamp, state) = (entry.stamp, &entry.state);
-        if self.newest.is_some_and(|n| (0.0..CLOSE).contains(&stamp.seconds_since(n.stamp))) {
+        // Late images add nothing.
+        if self.newest.is_some_and(|n| stamp.seconds_since(n.stamp) < CLOSE) {
             return;
         }
         let moved = self.newest.and_then(|newest| newest.to(history, place));
@@ -119,7 +120,7 @@ impl EncoderDirections {
             self.samples.clear();
         }
         let (attitude, climber_turn) = (state.attitude, state.climber.z);
-        let newest = moved.unwrap_or(Newest {
+        let newest = moved.unwrap_or(InertialTrack {
             stamp,
             inertial: [Vector2::zeros(); 2],
             turn: 0.0,
@@ -129,23 +130,24 @@ impl EncoderDirections {
         self.newest = Some(newest);
         let beside = state.position.xy() - state.climber.xy();
         let at = newest.inertial[1] - beside;
-        let sample = Sample { stamp, shown: Vector3::new(at.x, at.y, newest.turn), read: *read };
+        let sample =
+            ClimberInstant { stamp, shown: Vector3::new(at.x, at.y, newest.turn), read: *read };
         self.compare(&sample);
         self.samples.push_back(sample);
-        let old = |s: &Sample| stamp.seconds_since(s.stamp) > 2.0 * SPAN + NEAR;
+        let old = |s: &ClimberInstant| stamp.seconds_since(s.stamp) > 2.0 * SPAN + NEAR;
         while self.samples.front().is_some_and(old) {
             self.samples.pop_front();
         }
     }
 
     /// Returns the sample about this many seconds before a stamp.
-    fn before(&self, stamp: Stamp, seconds: f64) -> Option<&Sample> {
-        let away = |s: &&Sample| (stamp.seconds_since(s.stamp) - seconds).abs();
+    fn before(&self, stamp: Stamp, seconds: f64) -> Option<&ClimberInstant> {
+        let away = |s: &&ClimberInstant| (stamp.seconds_since(s.stamp) - seconds).abs();
         let nearest = self.samples.iter().min_by(|a, b| away(a).total_cmp(&away(b)));
         nearest.filter(|s| away(s) < NEAR)
     }
 
-    fn compare(&mut self, last: &Sample) {
+    fn compare(&mut self, last: &ClimberInstant) {
         let Some(middle) = self.before(last.stamp, SPAN).copied() else { return };
         let Some(dt) = self.samples.back().map(|s| last.stamp.seconds_since(s.stamp)) else {
             return;
@@ -155,12 +157,12 @@ impl EncoderDirections {
         let span = last.stamp.seconds_since(middle.stamp);
         let turn = wrap_angle(last.shown.z - middle.shown.z);
         let read = wrap_angle(last.read.z - middle.read.z);
-        for (sum, sign) in self.turns.iter_mut().zip([1.0, -1.0]) {
+        for (sum, sign) in self.turn_misfits.iter_mut().zip([1.0, -1.0]) {
             *sum = *sum * fade + (turn - sign * read).powi(2) * dt;
         }
         if let Some(first) = self.before(last.stamp, 2.0 * SPAN) {
             let earlier = middle.stamp.seconds_since(first.stamp);
-            let change = |of: fn(&Sample) -> Vector2<f64>| {
+            let change = |of: fn(&ClimberInstant) -> Vector2<f64>| {
                 (of(last) - of(&middle)) / span - (of(&middle) - of(first)) / earlier
             };
             let (read, shown) = (change(|s| s.read.xy()), change(|s| s.shown.xy()));
@@ -186,14 +188,14 @@ impl EncoderDirections {
     }
 
     fn judge(&mut self) {
-        let given = [self.misfit(&[1.0, 0.0, 0.0, 1.0]), self.turns[0]];
+        let given = [self.misfit(&[1.0, 0.0, 0.0, 1.0]), self.turn_misfits[0]];
         let rails = RAILS.map(|(directions, _)| self.misfit(&directions));
         let best = (0..RAILS.len()).min_by(|&a, &b| rails[a].total_cmp(&rails[b])).unwrap_or(0);
         // Rails that move alike fit several directions.
         let clear = rails.iter().filter(|&&misfit| misfit < RATIO * rails[best]).count() < 2;
         let of = |k: usize| match rails.get(k) {
             Some(rails) => (given[0], *rails, LEAST[0]),
-            None => (given[1], self.turns[1], LEAST[1]),
+            None => (given[1], self.turn_misfits[1], LEAST[1]),
         };
         let refutes = |k: &usize| {
             let (given, other, least) = of(*k);
@@ -207,22 +209,20 @@ impl EncoderDirections {
         // counts, for and against. A wrong turn shows the rails in wrong directions, too.
         let found = [RAILS.len(), best].into_iter().find(refutes);
         let found = found.map(|k| (k, clear || k == RAILS.len()));
-        self.wrong = self.wrong.filter(|(k, _)| holds(k)).or(found);
+        let held = self.wrong.filter(|(k, _)| holds(k));
+        self.wrong = held.filter(|(_, clear)| *clear).or(found).or(held);
     }
 }
 
-impl Newest {
+impl InertialTrack {
     /// Returns what follows at a later place; `None` where the time line does not lead there.
     fn to(mut self, history: &History, place: usize) -> Option<Self> {
         let first = history.place_of(self.stamp).checked_sub(1)?;
-        if history.get(first)?.stamp != self.stamp {
+        if first >= place || history.get(first)?.stamp != self.stamp {
             return None;
         }
         for k in first..place {
             let (from, to) = (history.get(k)?, history.get(k + 1)?);
-            if matches!(to.event, Event::Set) {
-                return None;
-            }
             let dt = to.stamp.seconds_since(from.stamp);
             // The biases would be estimated so that they explain what is wrong.
             let [force, rate] = [from, to].iter().fold([Vector3::zeros(); 2], |[f, r], e| {
@@ -241,5 +241,62 @@ impl Newest {
         self.stamp = history.get(place)?.stamp;
         (self.attitude, self.climber_turn) = (state.attitude, state.climber.z);
         Some(self)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// True motion of a climber: x, y, m; turn, rad.
+    fn climber(t: f64) -> Vector3<f64> {
+        let turn = wrap_angle(2.9 + 0.5 * (0.7 * t).sin());
+        Vector3::new(0.3 * (1.3 * t).sin(), 0.2 * (2.1 * t + 1.0).sin(), turn)
+    }
+
+    /// Adds instants of `seconds` at 30 Hz, with a drift of the IMU and `read` by the encoders.
+    fn add(
+        directions: &mut EncoderDirections,
+        seconds: std::ops::Range<f64>,
+        read: impl Fn(Vector3<f64>) -> Vector3<f64>,
+    ) {
+        let epoch = Stamp::from_nanos(1_760_001_000_000_000_000);
+        let count = ((seconds.end - seconds.start) * 30.0) as i32;
+        for t in (0..count).map(|i| seconds.start + f64::from(i) / 30.0) {
+            let drift = Vector3::new(0.4 * t + 0.02 * t * t, -3.0, 0.5);
+            let (stamp, at) = (epoch.plus_seconds(t), climber(t));
+            let instant = ClimberInstant { stamp, shown: at + drift, read: read(at) };
+            directions.compare(&instant);
+            directions.samples.push_back(instant);
+        }
+    }
+
+    #[test]
+    fn each_wrong_direction_is_named_and_right_ones_are_not() {
+        let named = |read: &dyn Fn(Vector3<f64>) -> Vector3<f64>| {
+            let mut directions = EncoderDirections::default();
+            add(&mut directions, 0.0..10.0, read);
+            directions.wrong()
+        };
+        assert_eq!(named(&|at| at), None);
+        assert_eq!(named(&|at| Vector3::new(0.0, 0.0, at.z)), None, "stuck rails");
+        assert_eq!(named(&|at| Vector3::new(at.x, at.y, -at.z)), Some(TURN));
+        for (directions, text) in RAILS {
+            let encoders_from_climber = Matrix2::from_row_slice(&directions).transpose();
+            let read = |at: Vector3<f64>| {
+                let rails = encoders_from_climber * at.xy();
+                Vector3::new(rails.x, rails.y, at.z)
+            };
+            assert_eq!(named(&read), Some(text));
+        }
+    }
+
+    #[test]
+    fn directions_that_were_corrected_are_right_again() {
+        let mut directions = EncoderDirections::default();
+        add(&mut directions, 0.0..10.0, |at| Vector3::new(-at.x, at.y, at.z));
+        assert!(directions.wrong().is_some());
+        add(&mut directions, 10.0..70.0, |at| at);
+        assert_eq!(directions.wrong(), None);
     }
 }

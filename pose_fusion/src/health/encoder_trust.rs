@@ -185,8 +185,11 @@ impl EncoderTrust {
 
     /// Trusts the encoders again, after a reinitialization.
     pub fn reset(&mut self) {
-        let directions = std::mem::take(&mut self.directions);
-        *self = Self { tried: self.tried, directions, ..Self::default() };
+        *self = Self {
+            tried: self.tried,
+            directions: std::mem::take(&mut self.directions),
+            ..Self::default()
+        };
     }
 
     /// Returns whether encoders that have stood since `since` may be stuck: not where they are

@@ -106,7 +106,7 @@ pub(super) fn align(
     // All are compared by the images that the readings reach with the likeliest: without a false
     // image each fits better, and the fewest images fit best.
     let common = alignment.reached(candidate(start));
-    if common.len() < poses.len() {
+    if !common.is_empty() {
         alignment = of(&common);
         costs = alignment.costs();
         (start, coarse) = likeliest(&costs)?;
@@ -116,12 +116,12 @@ pub(super) fn align(
     let scale = best.mean().max(SMALLEST);
     let unit = scale * alignment.excess(offset, noise, scale)?;
     let costs = costs.map(|cost| match cost {
-        Some(cost) => (cost.mean() - best.mean()) * best.rows.min(cost.rows) / unit,
+        Some(cost) => (cost.mean() - best.mean()) * best.freedom().min(cost.freedom()) / unit,
         None => f64::NAN,
     });
     let sigma = (2.0 * unit / curvature).sqrt();
     let refuted = others_are_refuted(&costs, 0.0, offset, sigma);
-    let span = poses.last()?.stamp.seconds_since(poses.first()?.stamp);
+    let span = alignment.span();
     let largest = if span > FULL * WINDOW { ROUGH } else { ACCEPTED };
     let known = curvature > 0.0 && sigma < largest && refuted && offset.abs() < REACH - EDGE;
     Some(Aligned {
@@ -167,9 +167,14 @@ struct Cost {
 }
 
 impl Cost {
+    /// Degrees of freedom.
+    fn freedom(&self) -> f64 {
+        (self.rows - UNKNOWNS as f64).max(1.0)
+    }
+
     /// χ² per degree of freedom.
     fn mean(&self) -> f64 {
-        self.square / (self.rows - UNKNOWNS as f64).max(1.0)
+        self.square / self.freedom()
     }
 }
 
@@ -188,12 +193,22 @@ impl Alignment<'_> {
         std::array::from_fn(|i| self.cost(candidate(i)))
     }
 
-    /// Images that the readings reach with an offset and those a step beside it.
+    /// Time from the first image to the last, s.
+    fn span(&self) -> f64 {
+        let ends = self.poses.last().zip(self.poses.first());
+        ends.map_or(0.0, |(last, first)| last.stamp.seconds_since(first.stamp))
+    }
+
+    /// Images that the readings reach with an offset and those a step beside it; none where they
+    /// reach all.
     fn reached(&self, offset: f64) -> Vec<VisualPose> {
         let reaches = |p: &&VisualPose| {
             let at = |by: f64| self.at(p.stamp.plus_seconds(offset + by)).is_some();
             at(-STEP) && at(STEP)
         };
+        if self.poses.iter().all(|pose| reaches(&pose)) {
+            return Vec::new();
+        }
         self.poses.iter().filter(reaches).copied().collect()
     }
 
@@ -220,12 +235,12 @@ impl Alignment<'_> {
         let (mut best, mut curvature) = (self.cost(offset)?, 0.0);
         for _ in 0..3 {
             let (low, high) = (self.cost(offset - h)?, self.cost(offset + h)?);
-            // With an image at the edge of the readings: the mean cost per row.
-            let rows = best.rows;
+            // With an image at the edge of the readings: the cost per degree of freedom.
+            let (rows, freedom) = (best.rows, best.freedom());
             let [low, here, high] = if low.rows == rows && high.rows == rows {
                 [low.square, best.square, high.square]
             } else {
-                [&low, &best, &high].map(|cost| cost.mean() * rows)
+                [&low, &best, &high].map(|cost| cost.mean() * freedom)
             };
             let bend = low + high - 2.0 * here;
             curvature = bend / (h * h);

@@ -58,7 +58,9 @@ impl Archive {
         let ready = entries.len() - later.count();
         let smoothed = entries.iter().zip(&states).take(ready).filter(|(e, _)| e.is_imu());
         let smoothed = smoothed.map(|(entry, state)| output(entry, state)).collect();
-        self.0.iter_mut().for_each(|entries| drop(entries.drain(..ready)));
+        if let Some(entries) = &mut self.0 {
+            entries.drain(..ready);
+        }
         smoothed
     }
 }
