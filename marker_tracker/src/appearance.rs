@@ -8,6 +8,7 @@ use crate::{
     quad::Quad,
     signal::{Discriminant, nearest, rgb_at},
 };
+use nalgebra::{Matrix3, Vector3};
 
 /// Colors of one marker.
 #[derive(Clone, Copy, Debug)]
@@ -16,6 +17,8 @@ pub(crate) struct Appearance {
     pub marker: [f32; 3],
     /// Mean color in a band around the outline.
     pub surroundings: [f32; 3],
+    /// Mean square of the differences from these two colors, where something else is seen.
+    pub scatter: Matrix3<f32>,
     pub discriminant: Discriminant,
     pub hue: HueHistogram,
 }
@@ -24,9 +27,9 @@ impl Appearance {
     /// Samples the inside of an outline (px) and a band around it; `None` where too few pixels are
     /// in the image or the two colors are the same.
     pub fn sample(image: &Pixels<'_>, quad: &Quad) -> Option<Self> {
-        let Sampled { marker, surroundings, hue } = Sampled::from(image, quad)?;
-        let discriminant = Discriminant::between(marker, surroundings)?;
-        Some(Self { marker, surroundings, discriminant, hue })
+        let Sampled { marker, surroundings, scatter, hue } = Sampled::from(image, quad)?;
+        let discriminant = Discriminant::between(marker, surroundings, &scatter)?;
+        Some(Self { marker, surroundings, scatter, discriminant, hue })
     }
 
     /// Light that differs from row to row; no light changes the ratio of the two brightnesses.
@@ -38,41 +41,49 @@ impl Appearance {
 
     /// Moves the colors by the share `gain` towards those inside and around an outline.
     pub fn adapt(&mut self, image: &Pixels<'_>, quad: &Quad, gain: f32) {
-        let Some(Sampled { marker, surroundings, hue }) = Sampled::from(image, quad) else {
+        let Some(Sampled { marker, surroundings, scatter, hue }) = Sampled::from(image, quad)
+        else {
             return;
         };
         for c in 0..3 {
             self.marker[c] += gain * (marker[c] - self.marker[c]);
             self.surroundings[c] += gain * (surroundings[c] - self.surroundings[c]);
         }
+        // More slowly: what passes beside the marker for a moment does not count.
+        self.scatter += (scatter - self.scatter) * (gain * gain);
         self.hue.adapt(&hue, gain);
-        if let Some(d) = Discriminant::between(self.marker, self.surroundings) {
+        if let Some(d) = Discriminant::between(self.marker, self.surroundings, &self.scatter) {
             self.discriminant = d;
         }
     }
 }
 
-/// Median colors inside and in a band around an outline, and the hues inside.
+/// Median colors inside of an outline and in a band around it, their scatter, and the hues inside.
 struct Sampled {
     marker: [f32; 3],
     surroundings: [f32; 3],
+    scatter: Matrix3<f32>,
     hue: HueHistogram,
 }
 
 impl Sampled {
-    /// Samples per side of the grid inside; 24 samples lie in the band around.
+    /// Samples per side of the grid inside, and on each ring around.
     const N: usize = 5;
-    /// Distance (px) of the grid from the outline, and of the band: beyond the edge's blur.
+    const RING: usize = 24;
+    /// Distance (px) of the grid from the outline, and of the ring whose colors are the
+    /// surroundings': beyond the edge's blur.
     const INSIDE: f64 = 2.5;
     const AROUND: f64 = 4.5;
+    /// Distances of two more rings, px, on whatever else a band across an edge may contain: a
+    /// border, a cable, the platform's rim.
+    const NEAR: f64 = 2.5;
+    const FAR: f64 = 6.5;
 
     fn from(image: &Pixels<'_>, quad: &Quad) -> Option<Self> {
         let (area, center) = quad.area_and_centroid();
         let thickness = quad.thickness_of(area);
         let inner = ((thickness - 2.0 * Self::INSIDE) / thickness).clamp(0.3, 0.8);
-        let outer = (thickness + 2.0 * Self::AROUND) / thickness;
-        let (mut inside, mut outside) = (Samples::default(), Samples::default());
-        let mut hue = HueHistogram::default();
+        let (mut inside, mut hue) = (Samples::default(), HueHistogram::default());
         for p in quad.grid::<{ Self::N }>() {
             let p = center + (p - center) * inner;
             if let Some(rgb) = rgb_at(image, nearest(p.x), nearest(p.y)) {
@@ -80,16 +91,24 @@ impl Sampled {
                 hue.add(rgb);
             }
         }
-        for i in 0..24 {
-            let (edge, along) = (i / 6, (f64::from(i % 6) + 0.5) / 6.0);
-            let (p, q) = (quad.0[edge as usize], quad.0[(edge as usize + 1) % 4]);
-            let p = center + (p + (q - p) * along - center) * outer;
-            if let Some(rgb) = rgb_at(image, nearest(p.x), nearest(p.y)) {
-                outside.add(rgb);
-            }
-        }
         hue.normalize();
-        Some(Self { marker: inside.middle()?, surroundings: outside.middle()?, hue })
+        let rings = [Self::AROUND, Self::NEAR, Self::FAR].map(|distance| {
+            let outer = (thickness + 2.0 * distance) / thickness;
+            let mut ring = Samples::default();
+            for i in 0..Self::RING {
+                let (edge, along) = (i / 6, (f64::from((i % 6) as u32) + 0.5) / 6.0);
+                let (p, q) = (quad.0[edge], quad.0[(edge + 1) % 4]);
+                let p = center + (p + (q - p) * along - center) * outer;
+                if let Some(rgb) = rgb_at(image, nearest(p.x), nearest(p.y)) {
+                    ring.add(rgb);
+                }
+            }
+            ring
+        });
+        let (marker, surroundings) = (inside.middle()?, rings[0].middle()?);
+        let around = rings.iter().map(|ring| ring.scatter(surroundings)).sum::<Matrix3<f32>>();
+        let scatter = inside.scatter(marker) + around / rings.len() as f32;
+        Some(Self { marker, surroundings, scatter, hue })
     }
 }
 
@@ -101,6 +120,10 @@ struct Samples {
 }
 
 impl Samples {
+    /// Distance from the median color from which on a pixel shows something else, in gray values:
+    /// texture and noise of paper and platform are smaller.
+    const OTHER: f32 = 20.0;
+
     fn add(&mut self, rgb: [u8; 3]) {
         if self.count < 25 {
             for (channel, value) in self.channels.iter_mut().zip(rgb) {
@@ -111,15 +134,27 @@ impl Samples {
     }
 
     /// Mean of the middle half, channel by channel; `None` with fewer than eight samples.
-    fn middle(&mut self) -> Option<[f32; 3]> {
+    fn middle(&self) -> Option<[f32; 3]> {
         let n = self.count;
         (n >= 8).then(|| {
-            self.channels.each_mut().map(|channel| {
+            self.channels.map(|mut channel| {
                 let channel = &mut channel[..n];
                 channel.sort_unstable();
                 let middle = &channel[n / 4..n - n / 4];
                 middle.iter().map(|v| f32::from(*v)).sum::<f32>() / middle.len() as f32
             })
         })
+    }
+
+    /// Mean square of the pixels' differences from a color.
+    fn scatter(&self, from: [f32; 3]) -> Matrix3<f32> {
+        let mut sum = Matrix3::zeros();
+        for i in 0..self.count {
+            let off = Vector3::from_fn(|c, _| f32::from(self.channels[c][i]) - from[c]);
+            if off.norm() > Self::OTHER {
+                sum += off * off.transpose();
+            }
+        }
+        sum / self.count.max(1) as f32
     }
 }

@@ -4,10 +4,11 @@ use crate::{
     form::Form,
     image::{Coverage, Pixels},
 };
-use nalgebra::Vector2;
+use nalgebra::{Matrix3, Vector2, Vector3};
 use wide::{f32x8, u32x8};
 
-/// A direction in RGB space along which a marker differs most from its surroundings.
+/// A direction in RGB space along which a marker differs most from its surroundings, and what else
+/// is there (borders, cables, the platform's rim, highlights) least.
 ///
 /// With a linear sensor the signal `weights · (r, g, b)` is linear in the share of a pixel that the
 /// marker covers, so that its moments and edge integrals are unbiased under blur, chroma
@@ -31,22 +32,33 @@ impl Discriminant {
     const SATURATED: f32 = 228.0;
     /// Smallest squared distance of the two colors: 5 gray values, a few times a camera's noise.
     const MIN_DISTANCE2: f32 = 25.0;
+    /// Variance of a pixel's noise, its texture and what JPEG adds: 5 gray values.
+    const NOISE2: f32 = 25.0;
     /// Least sine of the angle between the two colors that separates light from paper: 3°, with
     /// which a pixel's noise of 1 % shifts the marker's share of it by 0.2.
     const MIN_SINE2: f32 = 0.05 * 0.05;
 
-    /// Between the mean colors (r, g, b of 0–255) of a marker and of its surroundings, for equal
-    /// noise in the channels; `None` where the colors are the same.
-    pub fn between(marker: [f32; 3], surroundings: [f32; 3]) -> Option<Self> {
+    /// Between the mean colors (r, g, b of 0–255) of a marker and of its surroundings (Fisher's
+    /// linear discriminant); `None` where the colors are the same. `scatter`: covariance of the
+    /// colors within marker and surroundings, in addition to equal noise in the channels.
+    pub fn between(
+        marker: [f32; 3],
+        surroundings: [f32; 3],
+        scatter: &Matrix3<f32>,
+    ) -> Option<Self> {
         let d = [0, 1, 2].map(|i| marker[i] - surroundings[i]);
         let gain = d.iter().map(|d| d * d).sum::<f32>();
-        let saturated = (0..3)
-            .any(|i| d[i] * d[i] > 0.05 * gain && marker[i].max(surroundings[i]) > Self::SATURATED);
-        (gain.is_finite() && gain > Self::MIN_DISTANCE2).then(|| Self {
-            weights: d.map(|d| d / gain),
-            light: Self::light(marker, d, gain),
-            saturated,
-        })
+        if !(gain.is_finite() && gain > Self::MIN_DISTANCE2) {
+            return None;
+        }
+        let d3 = Vector3::from(d);
+        let noise = Matrix3::identity() * Self::NOISE2;
+        let direction = (noise + scatter).cholesky()?.solve(&d3);
+        let weights: [f32; 3] = (direction / direction.dot(&d3)).into();
+        let saturated = (0..3).any(|i| {
+            (weights[i] * d[i]).abs() > 0.05 && marker[i].max(surroundings[i]) > Self::SATURATED
+        });
+        Some(Self { weights, light: Self::light(marker, d, gain), saturated })
     }
 
     /// The shortest form that has the value 1 on both colors: the part of `marker` across the

@@ -47,8 +47,9 @@ pub(crate) struct EdgeFit {
     /// ∫ c·(1 − c) across the edge, px, for the share c of the marker: a sixth of the width of a
     /// motion blur, 0.56 σ of a Gaussian one.
     pub blur: f64,
-    /// Root mean square, over the rows, of the light that the band has in excess of that inside and
-    /// beyond it, px of the light inside: 0 unless the light changes within the band.
+    /// Root mean square, over the rows, of how far the light that the band has in excess of that
+    /// inside and beyond it moves the edge, px: 0 unless the light changes within the band. Where
+    /// the signal of the surroundings is small, dark or bright things there move little.
     pub shade: f64,
     /// Σ rᵢ² and Σ rᵢ·rᵢ₊₁ of the rows' residuals, px².
     pub lag: [f64; LAGS],

@@ -55,13 +55,23 @@ pub(crate) fn fit_edge(
     scratch: &mut Rows,
 ) -> Option<EdgeFit> {
     let (mut half_width, mut beyond) = (half_width, f64::INFINITY);
+    // While an edge is searched, a shade is rather a border or cable that a narrower band leaves
+    // out.
+    let searching = prior.tolerance.edge >= 1.0 && prior.light == Light::Even;
+    let mut shaded = None;
     loop {
-        let attempt = attempt(sampler, interior, side, [half_width, beyond], prior, scratch)?;
+        let bands = [half_width, beyond];
+        let Some(attempt) = attempt(sampler, interior, side, bands, prior, scratch) else {
+            return shaded;
+        };
         if attempt.step < STEP {
-            return attempt.edge;
+            match attempt.edge {
+                Some(edge) if searching && edge.shade > SHADE => shaded = shaded.or(Some(edge)),
+                edge => return edge.or(shaded),
+            }
         }
         if half_width <= NARROWEST {
-            return attempt.edge.filter(|_| attempt.step < LARGEST_STEP);
+            return shaded.or(attempt.edge.filter(|_| attempt.step < LARGEST_STEP));
         }
         (half_width, beyond) = ((half_width * NARROWER).max(NARROWEST), 1.0);
     }
@@ -98,7 +108,12 @@ fn attempt(
         return None;
     }
     let outside = Outside::measure(&rows.along, &rows.outside, count, interior)?;
-    let crossings = Crossings::find(rows, &plan, interior, &outside);
+    let contrast = (interior.level - outside.level).max(MIN_CONTRAST);
+    let weights = match prior.light {
+        Light::Even => [interior.level, outside.level].map(|level| level / contrast),
+        Light::ByRow { .. } | Light::ByPixel => [1.0; 2],
+    };
+    let crossings = Crossings::find(rows, &plan, interior, &outside, weights);
     let step = crossings.step;
     let Some(mut edge) = crossings.places.line(plan.possible as usize, side.length, prior) else {
         return Some(Attempt { edge: None, step });
@@ -106,7 +121,6 @@ fn attempt(
     (edge.blur, edge.outside, edge.shade) = (crossings.blur, outside.level, crossings.shade);
     // The outside level's error moves the whole edge, by the outer share of the band; that of its
     // tilt turns the edge.
-    let contrast = (interior.level - outside.level).max(MIN_CONTRAST);
     let outer = 0.5 * f64::from(plan.band) * plan.steep;
     let by_level =
         (outer * interior.sigma / contrast * prior.correlation).powi(2) / f64::from(plan.beyond);
@@ -138,7 +152,16 @@ struct Crossings {
 
 impl Crossings {
     /// Sums up each row, scaled to 0 outside and 1 inside.
-    fn find(rows: &Rows, plan: &RowPlan, interior: &Interior, outside: &Outside) -> Self {
+    ///
+    /// `weights`: by how much more light on a pixel inside of the edge, and outside, moves it, px
+    /// per unit of the light inside.
+    fn find(
+        rows: &Rows,
+        plan: &RowPlan,
+        interior: &Interior,
+        outside: &Outside,
+        weights: [f64; 2],
+    ) -> Self {
         let (count, side) = (rows.count, &plan.side);
         // The level inside, and its shading relative to the crossing, which the outside shares.
         let at_middle = f32x8::splat(interior.at(side.middle.x, side.middle.y) as f32);
@@ -157,7 +180,9 @@ impl Crossings {
         let (mut good, mut blur) = ([0.0f32; MAX_ROWS], f32x8::ZERO);
         let mut all = f32x8::ZERO;
         let light_inside = f32x8::splat((interior.light as f32).max(1e-3));
-        let mut excess: Column = [0.0; MAX_ROWS];
+        let inner_pixels = f32x8::splat(plan.inner_pixels(plan.band) as f32);
+        let weights = weights.map(|weight| f32x8::splat(weight as f32));
+        let mut shades: Column = [0.0; MAX_ROWS];
         for group in (0..count).step_by(8) {
             let of = |column: &Column| eight(column, group);
             let (along, pixels, s) = (of(&rows.along), of(&rows.pixels), of(&rows.s));
@@ -175,12 +200,19 @@ impl Crossings {
                 & across.abs().simd_lt(limit)
                 & across.simd_lt(of(&rows.room) - f32x8::splat(0.3))
                 & present(group, count);
-            // The light on the band, less what its two parts have at their outer ends.
+            // The light on the band's two halves, less what its two parts have at their outer
+            // ends.
             let is_seen = difference.simd_ge(least) & present(group, count);
             let part = covered.fast_max(f32x8::ZERO).fast_min(pixels);
-            let expected = part * light_inside + (pixels - part) * of(&rows.light_outside);
-            let here = is_seen & ((of(&rows.light) - expected) / light_inside * steep);
-            excess[group..group + 8].copy_from_slice(here.as_array());
+            let inner = part.fast_min(inner_pixels);
+            let light_outside = of(&rows.light_outside);
+            let excess = |light: f32x8, part: f32x8, pixels: f32x8| {
+                light - part * light_inside - (pixels - part) * light_outside
+            };
+            let shade = weights[0] * excess(of(&rows.light_inner), inner, inner_pixels)
+                + weights[1] * excess(of(&rows.light_outer), part - inner, pixels - inner_pixels);
+            let here = is_seen & (shade / light_inside * steep);
+            shades[group..group + 8].copy_from_slice(here.as_array());
             step += is_good & (rim / difference);
             valid += is_good & f32x8::ONE;
             let is_good = is_good & rim.abs().simd_le(rim_gate);
@@ -201,7 +233,7 @@ impl Crossings {
             places.keep(&good);
         }
         // The noise of neighboring rows is nearly independent.
-        let product: f32 = excess[..count].windows(2).map(|m| m[0] * m[1]).sum();
+        let product: f32 = shades[..count].windows(2).map(|m| m[0] * m[1]).sum();
         let shade = f64::from(product.max(0.0) / (count - 1) as f32).sqrt();
         Self { places, blur, step, shade }
     }
@@ -216,7 +248,7 @@ mod tests {
         quad::Quad,
         signal::Discriminant,
     };
-    use nalgebra::Vector2;
+    use nalgebra::{Matrix3, Vector2};
     use rig_model::Stamp;
 
     #[test]
@@ -225,7 +257,8 @@ mod tests {
         let squares = [[6, 20, 30, 44], [36, 20, 60, 44]].map(|square| (square, [200, 40, 40]));
         let image = drawn(64, 64, 120, &squares);
         let image = Pixels::whole(image.view(Stamp::default()), None);
-        let discriminant = Discriminant::between([200.0, 40.0, 40.0], [120.0; 3]).unwrap();
+        let discriminant =
+            Discriminant::between([200.0, 40.0, 40.0], [120.0; 3], &Matrix3::zeros()).unwrap();
         let sampler = Sampler::new(&image, &discriminant);
         let tolerance =
             Tolerance { edge: 1.0, slope: 0.06, rows: MAX_ROWS, ..Tolerance::default() };

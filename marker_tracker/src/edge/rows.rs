@@ -49,8 +49,10 @@ pub(crate) struct Rows {
     pub(super) outside: Column,
     /// Signal of the band's outermost pixel.
     pub(super) rim: Column,
-    /// Σ of the light on the band's pixels, and mean light beyond the band.
-    pub(super) light: Column,
+    /// Σ of the light on the band's inner and outer pixels ([`RowPlan::inner_pixels`]), and mean
+    /// light beyond the band.
+    pub(super) light_inner: Column,
+    pub(super) light_outer: Column,
     pub(super) light_outside: Column,
     /// Reach of the band outside of the prediction, across the edge, px.
     pub(super) room: Column,
@@ -72,7 +74,8 @@ impl Rows {
             ss: zero,
             outside: zero,
             rim: zero,
-            light: zero,
+            light_inner: zero,
+            light_outer: zero,
             light_outside: zero,
             room: zero,
         }
@@ -178,7 +181,8 @@ impl Rows {
             self.outside[kept] = 0.0;
             self.rim[kept] = scale * self.rim[n] + shift;
             self.room[kept] = self.room[n];
-            self.light[kept] = self.light[n];
+            self.light_inner[kept] = self.light_inner[n];
+            self.light_outer[kept] = self.light_outer[n];
             self.light_outside[kept] = self.light_outside[n];
             kept += 1;
         }
@@ -191,6 +195,8 @@ impl Rows {
         let RowPlan { band, beyond, hop, outward, .. } = *plan;
         let (before, after) = if outward { (0, beyond) } else { (beyond, 0) };
         let rim_at = if outward { band - 1 } else { 0 };
+        let inner = plan.inner_pixels(band);
+        let second_half = if outward { inner } else { band - inner };
         let (scale, share) = (sampler.scale, sampler.scale / beyond as f32);
         for group in (0..self.count).step_by(8) {
             let mut begin = [0; 8];
@@ -198,7 +204,8 @@ impl Rows {
             let mut along = 0;
             let (mut s, mut sj, mut ss, mut outside) =
                 (f32x8::ZERO, f32x8::ZERO, f32x8::ZERO, f32x8::ZERO);
-            let (mut rim, mut light, mut light_outside) = (f32x8::ZERO, f32x8::ZERO, f32x8::ZERO);
+            let (mut rim, mut light_outside) = (f32x8::ZERO, f32x8::ZERO);
+            let (mut light, mut light_before) = (f32x8::ZERO, f32x8::ZERO);
             for _ in 0..before {
                 let (signals, lights) = next(sampler, &begin, &mut along, hop);
                 outside += signals;
@@ -207,6 +214,9 @@ impl Rows {
             let mut j = f32x8::ZERO;
             for i in 0..band {
                 let (signals, lights) = next(sampler, &begin, &mut along, hop);
+                if i == second_half {
+                    light_before = std::mem::take(&mut light);
+                }
                 light += lights;
                 if i == rim_at {
                     rim = signals;
@@ -229,7 +239,10 @@ impl Rows {
             put(&mut self.ss, ss, scale * scale);
             put(&mut self.outside, outside, share);
             put(&mut self.rim, rim, scale);
-            put(&mut self.light, light, 1.0);
+            let (light_inner, light_outer) =
+                if outward { (light_before, light) } else { (light, light_before) };
+            put(&mut self.light_inner, light_inner, 1.0);
+            put(&mut self.light_outer, light_outer, 1.0);
             put(&mut self.light_outside, light_outside, 1.0 / beyond as f32);
         }
     }
@@ -286,13 +299,17 @@ impl Rows {
         sampler.read([x, y], last.into());
         let begin = sampler.begin(x, y);
         let at = |along: i32| begin + (along - first) as u32 * plan.hop;
-        let (mut s, mut sj, mut ss, mut light) = (0f32, 0f32, 0f32, 0f32);
+        let (mut s, mut sj, mut ss) = (0f32, 0f32, 0f32);
+        let (mut light_inner, mut light_outer) = (0f32, 0f32);
+        let inner = plan.inner_pixels(band);
+        let inner = if plan.outward { 0..inner } else { band - inner..band };
         for (j, pixel) in (from..=to).map(at).enumerate() {
             let value = sampler.one(pixel);
             s += value;
             sj += value * j as f32;
             ss += value * value;
-            light += sampler.light(pixel);
+            let is_inner = inner.contains(&(j as i32));
+            *(if is_inner { &mut light_inner } else { &mut light_outer }) += sampler.light(pixel);
         }
         let (mut outside, mut light_outside) = (0f32, 0f32);
         let outer = if plan.outward { to + 1 } else { first };
@@ -305,7 +322,8 @@ impl Rows {
         self.pixels[n] = band as f32;
         (self.s[n], self.sj[n], self.ss[n]) = (s, sj, ss);
         self.outside[n] = outside / beyond as f32;
-        (self.light[n], self.light_outside[n]) = (light, light_outside / beyond as f32);
+        (self.light_inner[n], self.light_outer[n]) = (light_inner, light_outer);
+        self.light_outside[n] = light_outside / beyond as f32;
         // The rim is unknown beyond the image; what is beside it stands in.
         self.rim[n] = self.outside[n];
         self.room[n] = (room * plan.steep) as f32;

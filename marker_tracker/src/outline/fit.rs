@@ -215,8 +215,12 @@ impl QuadFit {
     }
 
     /// Whether the light changes within the band of an edge, which moves it.
+    ///
+    /// What all four edges have is a line or border around the paper.
     pub fn is_shaded(&self) -> bool {
-        self.edges.iter().flatten().any(|e| e.shade > SHADE)
+        let shade = |e: &Option<EdgeFit>| e.map_or(0.0, |e| e.shade);
+        let border = self.edges.iter().map(shade).fold(f64::INFINITY, f64::min);
+        self.edges.iter().any(|e| shade(e) > border + SHADE)
     }
 
     /// Standard deviation of the centroid per axis, px.

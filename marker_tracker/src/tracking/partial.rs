@@ -235,7 +235,7 @@ impl<'a, 'p> PartialSearch<'a, 'p> {
 mod tests {
     use super::*;
     use crate::{hue::HueHistogram, image::fixtures::drawn, signal::Discriminant};
-    use nalgebra::{Isometry3, Point3};
+    use nalgebra::{Isometry3, Matrix3, Point3};
     use rig_model::{CameraModel, Distortion, MarkerLayout, PerColor, Stamp};
 
     #[test]
@@ -256,7 +256,8 @@ mod tests {
             let appearance = Some(Appearance {
                 marker: blue,
                 surroundings: gray,
-                discriminant: Discriminant::between(blue, gray).unwrap(),
+                scatter: Matrix3::zeros(),
+                discriminant: Discriminant::between(blue, gray, &Matrix3::zeros()).unwrap(),
                 hue: HueHistogram::default(),
             });
             let mut track = MarkerTrack { appearance, occluded, ..MarkerTrack::default() };
