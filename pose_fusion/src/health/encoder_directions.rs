@@ -205,8 +205,8 @@ impl EncoderDirections {
             let (given, other, _) = of(*k);
             RATIO * given > other
         };
-        // A pose that follows wrong encoders tilts, and blurs what the IMU shows: only clear evidence
-        // counts, for and against. A wrong turn shows the rails in wrong directions, too.
+        // A pose that follows wrong encoders tilts, and blurs what the IMU shows: only clear
+        // evidence counts, for and against. A wrong turn shows the rails in wrong directions, too.
         let found = [RAILS.len(), best].into_iter().find(refutes);
         let found = found.map(|k| (k, clear || k == RAILS.len()));
         let held = self.wrong.filter(|(k, _)| holds(k));

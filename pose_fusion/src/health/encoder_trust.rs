@@ -2,8 +2,8 @@
 //!
 //! Policy: a reading that no climber can have reached is excluded, and the encoders are suspended:
 //! the climber then moves freely and is measured by images and IMU, and loosely by readings that
-//! move. Three consistent readings in a row restore trust. Readings that contradict the estimate for
-//! `climber.step_timeout` are adopted (the drive was homed, or a wheel slipped): the filter
+//! move. Three consistent readings in a row restore trust. Readings that contradict the estimate
+//! for `climber.step_timeout` are adopted (the drive was homed, or a wheel slipped): the filter
 //! reinitializes with them, and the world frame moves with the encoders. Until then the pose keeps
 //! its frame. Who of the two is wrong is not known: after `DISAGREES` the published covariance
 //! contains the distance between them; where they seem to be stuck, until that has been
@@ -30,7 +30,8 @@ const UNCHANGED: f64 = 1.0;
 const PASSED: f64 = 0.3;
 /// Readings that return from a fault and contradict for this long are right, s.
 const RETURNED: f64 = 0.2;
-/// This long after encoders were suspended, images should not contradict the prediction any more, s.
+/// This long after encoders were suspended, images should not contradict the prediction any
+/// more, s.
 const EXPLAINED: f64 = 0.2;
 /// A reading is consistent below this NIS (one degree of freedom; 3 sigma).
 const CONSISTENT_NIS: f64 = 9.0;
@@ -284,7 +285,8 @@ mod tests {
         assert_eq!(unclear.judge(at(9020), 1e6, &off, STRANGE, 30.0), Verdict::Exclude);
         assert_eq!(unclear.judge(at(9240), 1e6, &off, STRANGE, 30.0), Verdict::Exclude);
         assert_eq!(trust.judge(at(9020), 1e6, &off, RETURNS, 30.0), Verdict::Exclude);
-        // Not while an axis stands that moved before; one at rest (a drive along one rail) is right.
+        // Not while an axis stands that moved before; one at rest (a drive along one rail)
+        // is right.
         let stopped = EncoderEvidence { axis_stands: true, axis_stopped: true, ..STRANGE };
         assert_eq!(trust.judge(at(9230), 1e6, &off, stopped, 30.0), Verdict::Exclude);
         let resting = EncoderEvidence { axis_stands: true, ..STRANGE };

@@ -145,8 +145,8 @@ impl ClimberTrack {
         self.latency += LATENCY_SHARE * (latency.clamp(0.0, RATE_SPAN) - self.latency);
     }
 
-    /// Returns the age at an instant of the last reading before it, where readings that were due are
-    /// missing, s: where it is older than [`MISSED`] times their usual interval, and than their
+    /// Returns the age at an instant of the last reading before it, where readings that were due
+    /// are missing, s: where it is older than [`MISSED`] times their usual interval, and than their
     /// latency explains.
     pub fn missing_for(&self, stamp: Stamp) -> Option<f64> {
         let after = self.readings.partition_point(|(at, _, _)| *at <= stamp);

@@ -149,8 +149,8 @@ impl Arrival {
         if ahead > 0.0 { ImuArrival::Next(ahead) } else { ImuArrival::NotNewer }
     }
 
-    /// Notes a late IMU sample; `fills_gap`: none of its samples' time was there. Returns by how many
-    /// seconds the IMU's clock was set back, where samples repeat the time of former ones.
+    /// Notes a late IMU sample; `fills_gap`: none of its samples' time was there. Returns by how
+    /// many seconds the IMU's clock was set back, where samples repeat the time of former ones.
     pub fn late_imu(&mut self, stamp: Stamp, fills_gap: bool) -> Option<f64> {
         self.repeated = match self.repeated {
             _ if fills_gap => None,

@@ -13,7 +13,8 @@ pub const HELD: f64 = 0.15;
 const FORCE: f64 = 3.0;
 /// Its angular velocity, rad/s (1 sigma).
 const RATE: f64 = 2.0;
-/// Density of the climber's jerk, m²/s⁵ and rad²/s⁵: 0.25 m within 0.9 s without encoders (1 sigma).
+/// Density of the climber's jerk, m²/s⁵ and rad²/s⁵: 0.25 m within 0.9 s without encoders
+/// (1 sigma).
 const JERK: [f64; 3] = [2.5, 2.5, 0.5];
 /// 1 Hz, rad/s.
 const FREQUENCY: f64 = std::f64::consts::TAU;

@@ -7,8 +7,8 @@ use rig_model::{ImuSample, median, topics};
 
 /// Relative deviation of its median that motion and bias explain.
 const TOLERANCE: f64 = 0.15;
-/// Share of samples that equal the one before, above which a sensor is stuck: a coarse resolution at
-/// rest, or samples that are sent twice, give less.
+/// Share of samples that equal the one before, above which a sensor is stuck: a coarse resolution
+/// at rest, or samples that are sent twice, give less.
 const REPEATED: f64 = 0.9;
 /// Factor by which the measured noise exceeds the file's where the file is wrong.
 const NOISE: f64 = 10.0;
