@@ -13,7 +13,8 @@ const REPEATED: f64 = 0.9;
 /// Factor by which the measured noise exceeds the file's where the file is wrong.
 const NOISE: f64 = 10.0;
 
-/// Finds an accelerometer or gyroscope that repeats one value.
+/// Finds an accelerometer or gyroscope of which all three values repeat. One stuck axis beside two
+/// that change is not found.
 pub(crate) fn examine_repeated(state: &mut Corrected) {
     type Value = fn(&ImuSample) -> Vector3<f64>;
     let sensors: [(&str, Value); 2] =
