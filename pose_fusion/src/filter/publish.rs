@@ -36,7 +36,7 @@ const SILENT: f64 = 0.3;
 /// A pose is not reported as lost while its second image is expected, s.
 const SECOND_IMAGE: f64 = 1.0;
 
-/// What is missing.
+/// Outages of the pose and of the IMU.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Silence {
     /// When the filter last had no pose, until the first odometry after that.

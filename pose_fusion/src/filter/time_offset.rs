@@ -222,7 +222,7 @@ impl Filter {
         if agrees || !self.is_started() {
             return;
         }
-        // Biases and constants of the IMU from before the offset was known are worth nothing.
+        // Biases and constants of the IMU that were estimated with an unknown offset are discarded.
         let kept = self.state().filter(|_| self.start.searches_again).map(|state| {
             let mut kept = state.clone();
             kept.time_offset = found.offset;

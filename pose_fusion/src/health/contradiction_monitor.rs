@@ -30,14 +30,15 @@ const CONTRADICTED: f64 = 3.0;
 /// contradict the adopted pose within it.
 const REPLACED: f64 = 1.0;
 
-/// What follows from an image.
+/// Response of the filter to an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Response {
     /// Nothing.
     None,
-    /// The images are to be followed, with the noise of a shock; the first one that contradicted.
+    /// Re-propagate with the noise of a shock, so that the state follows the images; the first
+    /// image that contradicted.
     FollowImages(Stamp),
-    /// The pose is to be reinitialized from the image; the first image that contradicted it.
+    /// Reinitialize the pose from the image; the first image that contradicted it.
     Reinitialize(Stamp),
 }
 
