@@ -31,8 +31,8 @@ parameters! {
     pub struct FusionConfig {
         /// The estimator: tight (error-state filter on pixels) or paper (the published filter).
         model: Model = Model::Tight;
-        /// Largest rate of odometry, pose, fused_pose, status, tf, predicted_odometry and swing, for
-        /// slow links; 0: that of the IMU.
+        /// Largest rate of odometry, pose, fused_pose, status, tf, predicted_odometry and swing,
+        /// for slow links; 0: that of the IMU.
         publish_rate: f64 = 0.0, unit("Hz"), range(0.0..=1000.0);
         /// volant/visual_pose with model tight: choose between the two planar solutions with the
         /// IMU's direction of gravity.
@@ -77,7 +77,8 @@ parameters! {
     pub struct TightConfig {
         /// Gravity.
         gravity: f64 = 9.80665, unit("m/s^2"), range(9.0..=10.5);
-        /// How far back delayed measurements are accepted: the largest camera time offset and 0.1 s.
+        /// How far back delayed measurements are accepted: the largest camera time offset and
+        /// 0.1 s.
         history: f64 = 0.6, unit("s"), range(0.4..=1.0);
         /// Velocity of a platform at rest for the zero-velocity update (1 sigma); 0 disables it.
         zero_velocity_sigma: f64 = 0.002, unit("m/s"), range(0.0..=1.0);

@@ -194,8 +194,8 @@ impl Fusion {
     /// Returns the smoothed odometry that later data no longer change (error-state filter); at the
     /// `end` of the run all of it.
     ///
-    /// A minute at a time with the knowledge of 20 s more, so that memory is bounded however long
-    /// the run is.
+    /// Smooths a minute at a time, with 20 s of later data, so that memory is bounded for runs of
+    /// any length.
     pub fn smoothed(&mut self, end: bool) -> Vec<Odometry> {
         self.tight().map_or_else(|_| Vec::new(), |filter| filter.smoothed(end))
     }

@@ -5,7 +5,8 @@
 //! panics.
 //!
 //! [`filter`] is the tightly coupled error-state filter (the default), [`mod@reference`] the
-//! published filter and the pose from one image alone. The ROS 2 node is in `node` (feature `node`).
+//! published filter and the pose from one image alone. The ROS 2 node is in `node`
+//! (feature `node`).
 
 mod adaptation;
 pub mod config;

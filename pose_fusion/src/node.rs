@@ -280,8 +280,8 @@ impl NodeShell for FusionNode {
             };
             (Health::Ok, what.to_owned())
         };
-        // Without a pose, a rejection is the message. Without IMU samples everything else is ahead of
-        // them, which is no fault of the clocks.
+        // Without a pose, a rejection is the message. Without IMU samples everything else is ahead
+        // of them, which is no fault of the clocks.
         let (health, message) = if !s.initialized || imu_age > limit {
             self.rejections.drop_report();
             (health, message)

@@ -51,9 +51,9 @@ fn offsets_up_to_300_ms_are_estimated_to_a_millisecond() {
     }
 }
 
-/// One marker in a hundred is a few pixels off, and one in twenty five times noisier than it claims:
-/// another offset fits those images that lack it. Before, offsets 40 to 290 ms off, and valid poses
-/// up to 0.3 m off.
+/// One marker in a hundred is a few pixels off, and one in twenty five times noisier than it
+/// claims: another offset fits those images that lack it. Before, offsets 40 to 290 ms off, and
+/// valid poses up to 0.3 m off.
 #[test]
 fn a_few_false_markers_do_not_give_a_false_offset() {
     for (share, size) in [(0.0, 0.0), (0.01, 3.0), (0.05, 0.5)] {
@@ -124,8 +124,8 @@ fn the_offset_is_unknown_without_motion() {
     assert!(score.position_rmse() < 1.0, "{score}");
 }
 
-/// A swing of 1.6 degrees below a climber at 6 cm/s: no window of 1.5 s shows the offset, but all of
-/// them together do.
+/// A swing of 1.6 degrees below a climber at 6 cm/s: no window of 1.5 s shows the offset, but all
+/// of them together do.
 #[test]
 fn the_offset_is_found_in_a_weak_motion_too() {
     for seed in 1..=3 {

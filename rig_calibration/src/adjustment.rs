@@ -15,8 +15,8 @@ use rig_model::median;
 const OUTLIER: [f64; 2] = [60.0, 34.0];
 /// Medians of χ² with 8 and with 9 degrees of freedom.
 const MEDIANS: [f64; 2] = [7.34, 8.34];
-/// Largest relative change of the cost by the last step of an adjustment that has converged: it moves
-/// the result by a fraction of its standard deviation.
+/// Largest relative change of the cost by the last step of an adjustment that has converged: it
+/// moves the result by a fraction of its standard deviation.
 const CONVERGED: f64 = 1e-3;
 /// Step of the numerical derivatives, in the parameters' units.
 const H: f64 = 1e-6;

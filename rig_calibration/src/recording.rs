@@ -136,8 +136,8 @@ impl Recording {
         Ok(Self { camera: samples.camera, shots, imu, climber })
     }
 
-    /// Keeps the consecutive images, at most [`SPAN`], in which the climber moves most; of more than
-    /// half as many one in [`EVERY`].
+    /// Keeps the consecutive images, at most [`SPAN`], in which the climber moves most; of more
+    /// than half as many one in [`EVERY`].
     pub(crate) fn keep_liveliest(&mut self) {
         if self.shots.len() > SPAN {
             self.keep_span();

@@ -74,8 +74,8 @@ pub struct Rig {
     pub colors: PerColor<Option<[f64; 3]>>,
 }
 
-/// Invalid rig file: why it is not a parameter file, or which flat key is missing, unknown or has an
-/// invalid value, and what is valid.
+/// Invalid rig file: why it is not a parameter file, or which flat key is missing, unknown or has
+/// an invalid value, and what is valid.
 #[derive(Debug, Error)]
 #[error("{0}")]
 pub struct RigError(String);

@@ -68,8 +68,8 @@ impl fmt::Display for ParameterValue {
 /// Parameters of one node, by flat name.
 pub type ParameterMap = BTreeMap<String, ParameterValue>;
 
-/// Invalid parameter file, or one that is not editable in place: the block or the parameter, what is
-/// wrong with it, and the remedy.
+/// Invalid parameter file, or one that is not editable in place: the block or the parameter, what
+/// is wrong with it, and the remedy.
 #[derive(Debug, Error)]
 #[error("{0}")]
 pub struct ParameterFileError(pub(crate) String);

@@ -9,8 +9,8 @@ use crate::{Descriptor, ParameterError, ParameterMap, ParameterType, ParameterVa
 /// (else read-only), `required` (else the default holds where the parameter is not given). Types:
 /// `bool`, `f64`, whole numbers, `String`, `[f64; 3]`, and enums declared with
 /// [`choices!`](crate::choices!). `groups` are fields that are such structs themselves, `plain`
-/// fields that are no parameters; a `check` validates the whole struct. The documentation of a field
-/// shows its attributes.
+/// fields that are no parameters; a `check` validates the whole struct. The documentation of a
+/// field shows its attributes.
 ///
 /// ```
 /// ros_parameters::choices! {

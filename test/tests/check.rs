@@ -96,7 +96,7 @@ fn the_running_filter_reports_nothing_in_recordings_with_correct_files() {
 }
 
 #[test]
-fn a_climber_at_rest_is_unobservable_and_not_frozen() {
+fn a_climber_at_rest_is_unobservable_and_not_stuck() {
     let config = MotionConfig {
         climber_speed: 0.0,
         climber_turn_rate: 0.0,

@@ -16,7 +16,8 @@ const YOUNG: f64 = 1.0;
 const ASSUMED: [f64; 3] = [3e-4, 3e-4, 3e-4];
 /// … with the weight of this many differences.
 const ASSUMED_WEIGHT: f64 = 2.0;
-/// Encoders are not noisier than this (m, m, rad; 1 sigma): a second publisher, say, is no noise.
+/// Largest noise of encoders (m, m, rad; 1 sigma): beyond it something else is wrong, such as a
+/// second publisher.
 const NOISIEST: f64 = 0.02;
 /// Equal readings in a row count as one, up to this number.
 pub const STANDING: f64 = 8.0;

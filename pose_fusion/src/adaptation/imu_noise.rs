@@ -105,8 +105,8 @@ impl ImuNoise {
         })
     }
 
-    /// Returns which share of a change of the motion between two images, by which they measure the
-    /// time offset, is noise, which tells nothing of it: of specific force and angular velocity.
+    /// Returns the share of noise in the change of the motion from one image to the next, for
+    /// specific force and angular velocity. Only the rest of the change measures the time offset.
     /// The motion is the triangular mean of the readings up to `half_width` seconds around it.
     pub fn noise_of_changes(&self, half_width: f64) -> Densities {
         if self.blocks.weight < FEWEST_CHANGES {

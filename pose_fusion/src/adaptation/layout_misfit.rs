@@ -14,7 +14,7 @@ const LAYOUT_CONFIRMED: f64 = 90.0;
 const REFUTED: u32 = 150;
 /// Mean misfit that is an error of the layout, each axis, m; correct files have 0.15 mm at most.
 const MISFIT: f64 = 0.25e-3;
-/// Largest distance of what a layout measured by hand leaves; a larger one is a false marker, m.
+/// Largest misfit of a layout measured by hand, m; a larger one is that of a false marker.
 const LARGEST: f64 = 0.005;
 /// An error of the layout stays from image to image: the square of the mean exceeds what the
 /// images' scatter gives it by this factor (χ² of two degrees of freedom: 1e-4).

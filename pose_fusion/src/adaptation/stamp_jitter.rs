@@ -11,7 +11,7 @@ pub const KEPT: usize = 64;
 const FEWEST: usize = 8;
 /// Intervals that measure the period, in median intervals; others are duplicates and gaps.
 const MEASURES: std::ops::Range<f64> = 0.5..3.5;
-/// A smaller jitter may be one of the exposures, which the stamps tell rightly, s.
+/// Smaller jitter may be that of the exposures themselves, which the stamps report correctly, s.
 const SMALLEST: f64 = 0.5e-3;
 /// Median of the absolute value of a normal distribution, in standard deviations.
 const MEDIAN: f64 = 0.6745;

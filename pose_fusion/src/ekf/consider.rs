@@ -1,5 +1,5 @@
 //! Consider parameters: constant errors of the rig's calibration that widen the covariance and do
-//! not change the estimate. What images and IMU do tell of them is estimated with the same
+//! not change the estimate. Constants that images and IMU do observe are estimated with the same
 //! sensitivity ([`super::calibration`]). Equations: `docs/src/equations.md`, "Consider parameters".
 
 use super::{

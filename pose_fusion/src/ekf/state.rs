@@ -184,7 +184,7 @@ impl State {
         }
     }
 
-    /// Takes the time offset to be off by a new error, which nothing has been built on yet.
+    /// Gives the time offset a new error, which affects no other entry of the state yet.
     pub fn forget_time_offset_error(&mut self) {
         self.sensitivity.row_mut(TIME_OFFSET_ERROR).fill(0.0);
         self.sensitivity[(TIME_OFFSET_ERROR, TIME_OFFSET)] = 1.0;

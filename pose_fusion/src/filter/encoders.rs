@@ -159,8 +159,8 @@ impl Filter {
 
     /// Suspends encoders that may be stuck: `axes` has since when each axis has stood, `since` is
     /// the one from which readings are excluded (encoder time), `at` the instant of the image that
-    /// contradicts (IMU time). Returns whether they are suspended: not if they already were, or were
-    /// tried without for the same stop.
+    /// contradicts (IMU time). Returns whether they are suspended: not if they already were, or
+    /// were tried without for the same stop.
     pub(super) fn suspect_stuck(
         &mut self,
         axes: [Option<Stamp>; 3],

@@ -185,8 +185,8 @@ impl Filter {
         }
     }
 
-    /// Processes again what was interpolated over the place of a new IMU sample, or followed without
-    /// it: back to the sample before.
+    /// Processes again what was interpolated over the place of a new IMU sample, or followed
+    /// without it: back to the sample before.
     fn interpolate_again(&mut self, place: usize) {
         let measured = |n: &&Entry| !matches!(n.event, Event::Imu { .. } | Event::Set);
         let between = self.history.before(place).take_while(measured).count();

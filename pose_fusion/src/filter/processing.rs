@@ -117,8 +117,8 @@ impl Filter {
         repropagation::step(&mut self.history, &context, end)
     }
 
-    /// Returns for how long encoder readings that were due at an instant of the time line are missing,
-    /// s.
+    /// Returns for how long encoder readings that were due at an instant of the time line are
+    /// missing, s.
     fn encoders_missing_for(&self, at: Stamp) -> Option<f64> {
         self.climber.missing_for(at.plus_seconds(-self.encoder_offset()))
     }

@@ -23,7 +23,7 @@ use crate::{
     timeline::arrival::{JUMP, Source},
 };
 use rig_model::{PerColor, Stamp};
-use std::collections::VecDeque;
+use std::{borrow::Cow, collections::VecDeque};
 
 /// After a silence of the IMU its samples carry the pose from the next image on, or after this
 /// time, s: until then the angular velocity between the last image and the first sample is not
@@ -36,7 +36,7 @@ const SILENT: f64 = 0.3;
 /// A pose is not reported as lost while its second image is expected, s.
 const SECOND_IMAGE: f64 = 1.0;
 
-/// What is missing.
+/// Outages of the pose and of the IMU.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Silence {
     /// When the filter last had no pose, until the first odometry after that.
@@ -224,12 +224,12 @@ impl Filter {
     }
 
     /// Returns why the pose at an instant must not be used, where the inputs contradict each other.
-    fn contradicted(&self, at: Stamp, state: &State) -> Option<String> {
+    fn contradicted(&self, at: Stamp, state: &State) -> Option<Cow<'static, str>> {
         let camera = at.plus_seconds(-state.time_offset);
         if let Some(wrong) = self.trust.directions.wrong() {
-            return Some(format!("images and IMU contradict the encoders: {wrong}"));
+            return Some(format!("images and IMU contradict the encoders: {wrong}").into());
         }
-        self.monitor.is_contradicted(camera).then(|| CONTRADICTED_REASON.to_owned())
+        self.monitor.is_contradicted(camera).then_some(CONTRADICTED_REASON.into())
     }
 
     /// Returns the outputs that wait to be taken.

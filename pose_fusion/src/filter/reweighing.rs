@@ -9,7 +9,8 @@ use crate::{
 };
 use nalgebra::Vector3;
 
-/// The encoders' noise is another one from this factor of the variance on.
+/// Factor between assumed and identified variance of the encoders from which the readings are
+/// weighed again.
 const REWEIGHED: f64 = 1.5;
 
 impl Filter {

@@ -37,7 +37,7 @@ const ESTIMATED_UP: f64 = 0.05;
 const ESTIMATED_NEAR: f64 = 0.05;
 /// The IMU's own attitude is wrong where another "up" is off by less than this share of it.
 const OWN_WORSE: f64 = 0.5;
-/// Biases known before an outage or recovery are worth half afterwards.
+/// Factor on the sigmas of what was known before an outage or recovery.
 const INFLATION: f64 = 2.0;
 /// Smallest bias sigma after an outage, m/s² and rad/s.
 const BIAS_FLOOR: f64 = 1e-4;

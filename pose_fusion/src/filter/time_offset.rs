@@ -34,8 +34,8 @@ const KNOWN: f64 = 0.003;
 const REOPENED: f64 = 0.005;
 /// Tilt by which aligned image poses may miss "up", rad: a swing within the unknown offset.
 const TILT: f64 = 0.1;
-/// Squared misfit of four markers from which they are noisier than they claim: χ² quantile (0.9999),
-/// 2 degrees of freedom.
+/// Squared misfit of four markers from which they are noisier than they claim: χ² quantile
+/// (0.9999), 2 degrees of freedom.
 const LARGE_MISFIT: f64 = 18.42;
 /// An image further from its nearest encoder reading than this is not aligned, s.
 pub(super) const CLIMBER_NEAR: f64 = 0.05;
@@ -222,7 +222,7 @@ impl Filter {
         if agrees || !self.is_started() {
             return;
         }
-        // Biases and constants of the IMU from before the offset was known are worth nothing.
+        // Biases and constants of the IMU that were estimated with an unknown offset are discarded.
         let kept = self.state().filter(|_| self.start.searches_again).map(|state| {
             let mut kept = state.clone();
             kept.time_offset = found.offset;

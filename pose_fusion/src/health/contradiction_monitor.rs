@@ -1,12 +1,12 @@
 //! Recovery where images contradict the prediction.
 //!
 //! An image contradicts where most of its markers are rejected. After `markers.lock_out_images` of
-//! them in a row the filter responds, with the mildest explanation first: encoders that stopped while
-//! the images see the climber drive on are suspended; else the platform was struck, and the time
-//! since the last used image is re-propagated with the process noise of a shock; shocks that follow
-//! each other mean that something else is wrong, and the pose is reinitialized from the image. The
-//! same happens where all images of `STARVED` seconds contradict: a single marker that still passes
-//! its gate keeps no pose that the others contradict.
+//! them in a row the filter responds, with the mildest explanation first: encoders that stopped
+//! while the images see the climber drive on are suspended; else the platform was struck, and the
+//! time since the last used image is re-propagated with the process noise of a shock; shocks that
+//! follow each other mean that something else is wrong, and the pose is reinitialized from the
+//! image. The same happens where all images of `STARVED` seconds contradict: a single marker that
+//! still passes its gate keeps no pose that the others contradict.
 //!
 //! Where that happens again and again, no shock explains it: a unit, a sign, a direction or a frame
 //! is wrong, and the pose must not be used.
@@ -25,19 +25,20 @@ const REPEATED: f64 = 0.6;
 /// seven recordings; with a wrong unit, sign or direction of the IMU several times in this time
 /// (`test/tests/robustness.rs`).
 const CONTRADICTED: f64 = 3.0;
-/// A pose that replaces one which was wrong for certain (it diverged, or other encoders were adopted)
-/// must hold for this time before it may be used, s: encoders whose turn is in degrees contradict the
-/// adopted pose within it.
+/// A pose that replaces one which was wrong for certain (it diverged, or other encoders were
+/// adopted) must hold for this time before it may be used, s: encoders whose turn is in degrees
+/// contradict the adopted pose within it.
 const REPLACED: f64 = 1.0;
 
-/// What follows from an image.
+/// Response of the filter to an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Response {
     /// Nothing.
     None,
-    /// The images are to be followed, with the noise of a shock; the first one that contradicted.
+    /// Re-propagate with the noise of a shock, so that the state follows the images; the first
+    /// image that contradicted.
     FollowImages(Stamp),
-    /// The pose is to be reinitialized from the image; the first image that contradicted it.
+    /// Reinitialize the pose from the image; the first image that contradicted it.
     Reinitialize(Stamp),
 }
 

@@ -15,7 +15,7 @@ use std::collections::VecDeque;
 
 /// Time over which velocities are taken, s.
 const SPAN: f64 = 0.4;
-/// A sample this near stands for one a span before another, s.
+/// Largest distance of a sample from the instant one span earlier that it is used for, s.
 const NEAR: f64 = 0.1;
 /// Images that follow each other faster are left out, s.
 const CLOSE: f64 = 0.02;
@@ -49,7 +49,7 @@ const RAILS: [([f64; 4], &str); 7] = [
         "the rails are exchanged and one reversed, or `camera.orientation` is turned by 90°",
     ),
 ];
-/// What it means that the turn explains its changes in the other direction.
+/// What is wrong where a turn in the other direction explains its changes.
 const TURN: &str = "`turn` is reversed";
 /// The same for rails that fit several other directions.
 const UNCLEAR: &str =
@@ -205,8 +205,8 @@ impl EncoderDirections {
             let (given, other, _) = of(*k);
             RATIO * given > other
         };
-        // A pose that follows wrong encoders tilts, and blurs what the IMU shows: only clear evidence
-        // counts, for and against. A wrong turn shows the rails in wrong directions, too.
+        // A pose that follows wrong encoders tilts, and blurs what the IMU shows: only clear
+        // evidence counts, for and against. A wrong turn shows the rails in wrong directions, too.
         let found = [RAILS.len(), best].into_iter().find(refutes);
         let found = found.map(|k| (k, clear || k == RAILS.len()));
         let held = self.wrong.filter(|(k, _)| holds(k));

@@ -2,15 +2,15 @@
 //!
 //! Policy: a reading that no climber can have reached is excluded, and the encoders are suspended:
 //! the climber then moves freely and is measured by images and IMU, and loosely by readings that
-//! move. Three consistent readings in a row restore trust. Readings that contradict the estimate for
-//! `climber.step_timeout` are adopted (the drive was homed, or a wheel slipped): the filter
+//! move. Three consistent readings in a row restore trust. Readings that contradict the estimate
+//! for `climber.step_timeout` are adopted (the drive was homed, or a wheel slipped): the filter
 //! reinitializes with them, and the world frame moves with the encoders. Until then the pose keeps
-//! its frame. Who of the two is wrong is not known: after `DISAGREES` the published covariance
-//! contains the distance between them; where they seem to be stuck, until that has been
-//! `STUCK_CONFIRMED`. Encoders that are known to be stuck are not adopted before they move again.
-//! Readings that return from a fault and go on moving, on all axes that moved, are right: they are
-//! adopted after `RETURNED`. They return where stuck ones move again, or where they leap to where a
-//! climber can have moved to since they were equal or leapt before.
+//! its frame. Which of the two is wrong is not known: after `DISAGREES` the published covariance
+//! contains the distance between them; where the encoders seem to be stuck, only until they have
+//! seemed so for `STUCK_CONFIRMED`. Encoders that are known to be stuck are not adopted before they
+//! move again. Readings that return from a fault and go on moving, on all axes that moved, are
+//! right: they are adopted after `RETURNED`. They return where stuck ones move again, or where they
+//! leap to where a climber can have moved to since they were equal or leapt before.
 
 use super::encoder_directions::EncoderDirections;
 use nalgebra::Vector3;
@@ -19,18 +19,21 @@ use rig_model::Stamp;
 /// Readings that contradict the estimate for longer than this cast doubt on it, s.
 const DISAGREES: f64 = 0.3;
 
-/// Encoders that seem to be stuck are, where nothing contradicted that for this time, s.
+/// Encoders that seem to be stuck count as stuck once nothing has contradicted that for this time,
+/// s.
 const STUCK_CONFIRMED: f64 = 1.0;
 
 /// Consistent readings in a row that restore trust.
 const CONSISTENT: u32 = 3;
-/// Time for which standing readings must be consistent, s: the climber may come by stuck ones.
+/// Time for which standing readings must be consistent, s: a climber that drives may pass the
+/// position of stuck ones.
 const UNCHANGED: f64 = 1.0;
 /// The same where only one axis stands, which may be at rest, s.
 const PASSED: f64 = 0.3;
 /// Readings that return from a fault and contradict for this long are right, s.
 const RETURNED: f64 = 0.2;
-/// This long after encoders were suspended, images should not contradict the prediction any more, s.
+/// This long after encoders were suspended, images should not contradict the prediction any
+/// more, s.
 const EXPLAINED: f64 = 0.2;
 /// A reading is consistent below this NIS (one degree of freedom; 3 sigma).
 const CONSISTENT_NIS: f64 = 9.0;
@@ -87,7 +90,7 @@ pub struct EncoderTrust {
     newest: Option<Stamp>,
     /// First reading after a fault.
     returned: Option<Stamp>,
-    /// Last time that readings which stand were tried without, or were found not to be stuck.
+    /// Last time that the filter was tried without encoders that stand, or found them not stuck.
     tried: Option<Stamp>,
     /// Whether images and IMU show the directions that the encoders report.
     pub directions: EncoderDirections,
@@ -284,7 +287,8 @@ mod tests {
         assert_eq!(unclear.judge(at(9020), 1e6, &off, STRANGE, 30.0), Verdict::Exclude);
         assert_eq!(unclear.judge(at(9240), 1e6, &off, STRANGE, 30.0), Verdict::Exclude);
         assert_eq!(trust.judge(at(9020), 1e6, &off, RETURNS, 30.0), Verdict::Exclude);
-        // Not while an axis stands that moved before; one at rest (a drive along one rail) is right.
+        // Not while an axis stands that moved before; one at rest (a drive along one rail)
+        // is right.
         let stopped = EncoderEvidence { axis_stands: true, axis_stopped: true, ..STRANGE };
         assert_eq!(trust.judge(at(9230), 1e6, &off, stopped, 30.0), Verdict::Exclude);
         let resting = EncoderEvidence { axis_stands: true, ..STRANGE };

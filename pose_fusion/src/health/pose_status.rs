@@ -5,8 +5,8 @@ use rig_model::Stamp;
 
 const MIRRORED_REASON: &str = "no IMU sample, and fewer than four markers: they fit two tilts";
 /// Reason of a pose that images contradict again and again.
-pub const CONTRADICTED_REASON: &str = "images contradict the IMU or the encoders: check units, signs, \
-                            orientations and frames (`volant check` names the cause)";
+pub const CONTRADICTED_REASON: &str = "images contradict the IMU or the encoders: check units, \
+                            signs, orientations and frames (`volant check` names the cause)";
 
 /// What carries the pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -7,8 +7,8 @@ const LARGEST_BIAS: [f64; 2] = [5.0, 1.0];
 /// Latency that the history must hold beside the time offset, s.
 const LATENCY: f64 = 0.1;
 
-/// Returns the first bound of finite numbers and physics that a state violates. `camera_offset`, s, is
-/// the configured time offset with what steps of the clocks added.
+/// Returns the first bound of finite numbers and physics that a state violates. `camera_offset`, s,
+/// is the configured time offset with what steps of the clocks added.
 pub fn violation(state: &State, config: &TightConfig, camera_offset: f64) -> Option<&'static str> {
     let from_climber = (state.position.xy() - state.climber.xy()).norm();
     let offset = state.time_offset - camera_offset;

@@ -93,8 +93,10 @@ impl TimeOffsetSearch {
         *self = Self::default();
     }
 
-    /// Returns the offset once it is known to 10 ms; aligns after every third image only. `gravity`
-    /// is in m/s²; `noise` are the IMU's densities, `given` those of the rig file.
+    /// Returns the offset once its standard deviation is below 10 ms ([`ACCEPTED`]), or below 30 ms
+    /// where the image poses span a whole [`WINDOW`]: the caller uses such a rough offset only
+    /// where it is far from the estimated one. Aligns after every third image only. `gravity` is in
+    /// m/s²; `noise` are the IMU's densities, `given` those of the rig file.
     pub fn find(
         &mut self,
         volant_from_imu: &Isometry3<f64>,

@@ -40,7 +40,7 @@ pub const JERK_LIMIT: f64 = 250.0;
 /// Encoder reading: its stamp; x, y (m) and turn (rad); height and tilt.
 type Reading = (Stamp, Vector3<f64>, ClimberHeightTilt);
 
-/// Returns the way from one reading's values to another's, m, m, rad.
+/// Returns the displacement from one reading's values to another's, m, m, rad.
 fn way(from: &Vector3<f64>, to: &Vector3<f64>) -> Vector3<f64> {
     let mut way = to - from;
     way.z = wrap_angle(way.z);
@@ -130,7 +130,7 @@ impl ClimberTrack {
             let neighbor = place.checked_sub(1).and_then(|p| self.readings.get(p));
             self.noise.late(&values, neighbor.map(|(_, values, _)| values))
         };
-        // One that is older than all the others says nothing of the climber now.
+        // A reading older than all that are kept is not needed.
         if place > 0 || self.readings.is_empty() {
             self.readings.insert(place, (stamp, values, rest));
         }
@@ -145,8 +145,8 @@ impl ClimberTrack {
         self.latency += LATENCY_SHARE * (latency.clamp(0.0, RATE_SPAN) - self.latency);
     }
 
-    /// Returns the age at an instant of the last reading before it, where readings that were due are
-    /// missing, s: where it is older than [`MISSED`] times their usual interval, and than their
+    /// Returns the age at an instant of the last reading before it, where readings that were due
+    /// are missing, s: where it is older than [`MISSED`] times their usual interval, and than their
     /// latency explains.
     pub fn missing_for(&self, stamp: Stamp) -> Option<f64> {
         let after = self.readings.partition_point(|(at, _, _)| *at <= stamp);

@@ -1,6 +1,6 @@
-//! Update of the climber's x, y and turn by its encoders. While a reading stands still its error
-//! does, too: a climber at rest is never known much better than its encoders' step. Equations:
-//! `docs/src/equations.md`, "Encoders".
+//! Update of the climber's x, y and turn by its encoders. While a reading does not change, its
+//! error does not either: a climber at rest is never known much better than its encoders' step.
+//! Equations: `docs/src/equations.md`, "Encoders".
 
 use super::{Innovation, Outcome};
 use crate::ekf::{

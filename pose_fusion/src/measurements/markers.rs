@@ -38,8 +38,9 @@ pub type Block = SMatrix<f64, 8, 8>;
 pub type ByCalibration = SMatrix<f64, 8, PARAMETERS>;
 /// Offsets of the markers' centers: x and y of red, green, blue, yellow, volant axes, m.
 pub type Offsets = SVector<f64, OFFSETS>;
-/// Where the attitude is known worse than this, rad, one or two markers fit whatever they are: they
-/// are not used where more are seen. A single one that is seen may contradict it there.
+/// Sigma of the attitude, rad, above which one or two markers fit some attitude even if they are
+/// false: they are not used where more are seen. Only above it does a marker that is seen alone
+/// count as a contradiction.
 pub const ATTITUDE_KNOWN: f64 = 0.02;
 /// Largest squared misfit of markers that agree: χ² quantile (0.999), 2 degrees of freedom.
 pub const AGREEING: f64 = 13.82;

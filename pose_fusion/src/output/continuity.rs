@@ -8,7 +8,8 @@ use rig_model::Stamp;
 
 /// Largest step of the position from one message to the next beside the motion, m (required: 3 mm).
 const STEP: f64 = 0.002;
-/// Messages further apart are no sequence, s: two periods and a half of the slowest IMU.
+/// The step between messages further apart than this is not limited, s: two and a half periods of
+/// the slowest IMU.
 const SEQUENCE: f64 = 0.05;
 /// A larger correction is a reinitialization, which a slow approach would only hide, m.
 const REINITIALIZED: f64 = 0.2;

@@ -36,8 +36,8 @@ pub struct Settings {
 const UNSEEN_MOTION: [f64; 2] = [0.3, 0.5];
 
 impl Settings {
-    /// Returns the variance of the angular velocity beside the gyroscope bias', (rad/s)²: while the
-    /// IMU is silent the platform is taken not to turn.
+    /// Returns the variance of the angular velocity beside the gyroscope bias', (rad/s)². While
+    /// the IMU is silent, the platform is assumed not to turn: what it may turn is added.
     pub fn rate_variance(&self) -> f64 {
         self.rate_variance + if self.silent { UNSEEN_MOTION[1].powi(2) } else { 0.0 }
     }

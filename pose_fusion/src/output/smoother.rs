@@ -1,6 +1,6 @@
-//! Fixed-interval smoother: every estimate with the knowledge of all data, those after it included.
-//! Its input are the filter's [`Entry`]s once nothing changes them any more. Equations:
-//! `docs/src/equations.md`, "Output".
+//! Fixed-interval smoother: each estimate uses all data, later ones included. Its input is the
+//! filter's entries of the time line ([`Entry`]), once late measurements cannot change them any
+//! more. Equations: `docs/src/equations.md`, "Output".
 
 use crate::{
     ekf::{
@@ -15,10 +15,11 @@ use nalgebra::{Cholesky, Const};
 
 /// Length of a batch of smoothed odometry, s.
 const BATCH: f64 = 60.0;
-/// Later data that a smoothed estimate knows at least, s: biases and time offset are found in less.
+/// Shortest time of later data that a smoothed estimate uses, s: biases and time offset converge
+/// faster.
 const LAG: f64 = 20.0;
 
-/// Entries that are still to be smoothed, where that was asked for.
+/// Entries that are still to be smoothed; `None` until [`Archive::enable`].
 #[derive(Clone, Debug, Default)]
 pub struct Archive(Option<Vec<Entry>>);
 
@@ -35,8 +36,8 @@ impl Archive {
         }
     }
 
-    /// Returns `output` of the IMU samples with their smoothed states that later data no longer
-    /// change, at the `end` of all. `gravity` in m/s².
+    /// Returns `output` of each IMU sample with its smoothed state: at the `end` of all samples,
+    /// before that of those with at least `LAG` seconds of later data. `gravity` in m/s².
     pub fn smoothed<T>(
         &mut self,
         end: bool,
@@ -65,8 +66,8 @@ impl Archive {
     }
 }
 
-/// Returns the smoothed states of entries in the order of time. Nothing behind a state that was set
-/// is known before it. `gravity` in m/s².
+/// Returns the smoothed states of entries in the order of time. Data after a state that was set do
+/// not change the states before it. `gravity` in m/s².
 fn smooth(entries: &[Entry], gravity: f64) -> Vec<State> {
     let mut states: Vec<State> = Vec::with_capacity(entries.len());
     let Some(calibration) = entries.last().map(|entry| entry.state.calibration) else {

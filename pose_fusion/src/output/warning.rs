@@ -91,14 +91,14 @@ pub enum Warning {
     EncodersSuspended { stamp: Stamp, distance_m: f64 },
     #[error(
         "the encoders repeat one reading since {since}, and the images show that the climber moves: \
-         they may be frozen, and are not used until they are consistent with the estimate again"
+         they may be stuck, and are not used until they are consistent with the estimate again"
     )]
     EncodersStuck { since: Stamp },
     #[error("the encoders are consistent with the estimate again at {stamp} and are used")]
     EncodersResumed { stamp: Stamp },
     #[error(
         "the encoders at {stamp} still contradict the estimate, after climber.step_timeout or after \
-         they were frozen; they are adopted and the pose reinitializes; check whether they \
+         they were stuck; they are adopted and the pose reinitializes; check whether they \
          were homed"
     )]
     EncoderStep { stamp: Stamp },

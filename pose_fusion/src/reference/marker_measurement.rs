@@ -2,9 +2,7 @@
 //! the world plane (eq. 8). The paper leaves the height of that plane open; here it is that which
 //! the pose gives the marker, so that four markers determine all six numbers of the pose.
 
-use nalgebra::{
-    Isometry3, Matrix3, Matrix6, Point3, SMatrix, SVector, UnitQuaternion, Vector3, Vector6,
-};
+use nalgebra::{Matrix3, Point3, SMatrix, SVector, UnitQuaternion, Vector3, Vector6};
 use rig_model::{MarkerColor, MarkerLayout, PerColor};
 
 /// Line from the camera through a marker's pixel, in the world.
@@ -55,34 +53,6 @@ pub fn world_rates(pose: &Vector6<f64>) -> Matrix3<f64> {
     let (sp, cp) = pose[4].sin_cos();
     let (sy, cy) = pose[5].sin_cos();
     Matrix3::new(cy * cp, -sy, 0.0, sy * cp, cy, 0.0, -sp, 0.0, 1.0)
-}
-
-/// Returns step K r and covariance (I − K H) P of a Kalman correction; `None` where the covariance
-/// of the innovation is not positive definite.
-pub fn correction<const N: usize>(
-    covariance: &Matrix6<f64>,
-    jacobian: &SMatrix<f64, N, 6>,
-    noise: &SMatrix<f64, N, N>,
-    residual: &SVector<f64, N>,
-) -> Option<(Vector6<f64>, Matrix6<f64>)> {
-    let innovation = jacobian * covariance * jacobian.transpose() + noise;
-    let cholesky = innovation.cholesky()?;
-    let cross = covariance * jacobian.transpose();
-    let reduction = cross * cholesky.solve(&cross.transpose());
-    let step = cross * cholesky.solve(residual);
-    Some((step, covariance - (reduction + reduction.transpose()) * 0.5))
-}
-
-/// Returns x, y, z (m), roll, pitch and yaw (rad) of a pose.
-pub fn vector(pose: &Isometry3<f64>) -> Vector6<f64> {
-    let (t, e) = (pose.translation.vector, euler(&pose.rotation));
-    Vector6::new(t.x, t.y, t.z, e.x, e.y, e.z)
-}
-
-/// Returns roll, pitch and yaw, rad.
-pub fn euler(rotation: &UnitQuaternion<f64>) -> Vector3<f64> {
-    let (roll, pitch, yaw) = rotation.euler_angles();
-    Vector3::new(roll, pitch, yaw)
 }
 
 #[cfg(test)]

@@ -9,9 +9,11 @@ use crate::{
     },
     output::{Odometry, largest_sigma},
     reference::{
+        correction, euler,
         gyro_attitude::GyroAttitude,
-        marker_measurement::{correction, euler, plane_residual, vector, world_rates},
+        marker_measurement::{plane_residual, world_rates},
         single_image::Visual,
+        vector,
     },
     timeline::{arrival::Source, dropout::GAP},
 };

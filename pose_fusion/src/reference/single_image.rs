@@ -25,8 +25,8 @@ use rig_model::{
 const ENCODERS_NEAR: f64 = 0.1;
 /// Smallest uncertainty of the IMU's own roll and pitch, rad.
 const ATTITUDE_FLOOR: f64 = 1e-3;
-/// Squares of four markers' residuals beside the best pose are expected to sum up to this; beyond
-/// this multiple of it (0.999 quantile) a marker is not where it seems to be.
+/// Expected sum of the squared residuals of four markers at the best pose (χ², 2 degrees of
+/// freedom), and the multiple of it (0.999 quantile) above which a marker is false.
 const FREEDOM: f64 = 2.0;
 const LARGE_MISFIT: f64 = 6.9;
 /// The previous visual pose decides for this long, s, with this uncertainty of the rotation, rad.

@@ -15,10 +15,10 @@ const HELD_UP: f64 = 10.0;
 const STRAY: f64 = 0.2;
 /// Number of consecutive samples that confirm a jump.
 const JUMP_CONFIRMED: u32 = 3;
-/// Number of consecutive samples, each later than the one before, in places that have a sample
-/// already, that show a clock that was set back: samples that come in any order fill gaps.
+/// Number of consecutive late samples, each with a later stamp than the one before, that show a
+/// clock that was set back: samples that are merely out of order fill gaps between others.
 const REPEATED: u32 = 4;
-/// Shortest step back of a clock that is told from jitter of the stamps, s.
+/// Smallest backward step of a clock that can be distinguished from jitter of the stamps, s.
 const SHORTEST_STEP: f64 = 0.03;
 /// Advance of other messages, at least [`MESSAGES`], from which the IMU is lost, s.
 const SILENCE: f64 = 0.1;
@@ -149,8 +149,9 @@ impl Arrival {
         if ahead > 0.0 { ImuArrival::Next(ahead) } else { ImuArrival::NotNewer }
     }
 
-    /// Notes a late IMU sample; `fills_gap`: none of its samples' time was there. Returns by how many
-    /// seconds the IMU's clock was set back, where samples repeat the time of former ones.
+    /// Notes a late IMU sample; `fills_gap`: samples are missing where its stamp belongs. Returns
+    /// by how many seconds the IMU's clock was set back, where samples repeat the time of former
+    /// ones.
     pub fn late_imu(&mut self, stamp: Stamp, fills_gap: bool) -> Option<f64> {
         self.repeated = match self.repeated {
             _ if fills_gap => None,

@@ -7,11 +7,11 @@ use rig_model::Stamp;
 
 /// Smallest step, s: the filter follows a smaller one by itself.
 const SMALLEST: f64 = 0.05;
-/// After a jump, messages that a stalled computer held up come first, s.
+/// Time after a jump in which messages may still arrive that a stalled computer held up, s.
 const STALL_SETTLING: f64 = 0.15;
-/// Number of images that show the new lag, of which each must agree.
+/// Number of images that must all show the new lag.
 const IMAGES: u32 = 3;
-/// A change of the lag by a step of `s` is that but for this share of `s`.
+/// Largest difference between the change of the lag and the step, as a share of the step.
 const SHARE: f64 = 0.3;
 /// Number of lags whose median is the usual one, the fewest that give one, and the time between two
 /// of them, s: a link that is congested for less than five seconds does not change it.
@@ -20,7 +20,7 @@ const FEWEST: usize = 5;
 const SPACING: f64 = 0.1;
 /// Number of intervals between images whose median is the usual one.
 const INTERVALS: usize = 15;
-/// A jump that is not confirmed within this time is none of a clock, s.
+/// A jump of the stamps that is not confirmed within this time is no step of a clock, s.
 const FORGOTTEN: f64 = 2.0;
 
 /// Median of the newest `N` numbers.
@@ -52,7 +52,8 @@ impl<const N: usize> RunningMedian<N> {
     }
 }
 
-/// Time of the newest IMU sample since the stamp of a message of one source, when it arrives.
+/// Lag of one source: time from the stamp of a message to the newest IMU sample when the message
+/// arrives.
 #[derive(Clone, Debug, Default)]
 struct Lag {
     usual: RunningMedian<LAGS>,

@@ -7,13 +7,14 @@ use crate::ekf::propagation::ProcessNoise;
 pub const GAP: f64 = 0.05;
 /// A longer gap is not interpolated, s.
 pub const BRIDGED: f64 = 0.4;
-/// Before the first sample after a longer gap its reading counts for this time, s.
+/// The first reading after a longer gap is also used for this time before its stamp, s.
 pub const HELD: f64 = 0.15;
 /// Specific force of a swing beside its mean, m/s² (1 sigma): 35° at 1 Hz, 0.25 m of rope.
 const FORCE: f64 = 3.0;
 /// Its angular velocity, rad/s (1 sigma).
 const RATE: f64 = 2.0;
-/// Density of the climber's jerk, m²/s⁵ and rad²/s⁵: 0.25 m within 0.9 s without encoders (1 sigma).
+/// Density of the climber's jerk, m²/s⁵ and rad²/s⁵: 0.25 m within 0.9 s without encoders
+/// (1 sigma).
 const JERK: [f64; 3] = [2.5, 2.5, 0.5];
 /// 1 Hz, rad/s.
 const FREQUENCY: f64 = std::f64::consts::TAU;
@@ -37,8 +38,8 @@ pub fn extrapolated(usual: &ProcessNoise, seconds: f64) -> ProcessNoise {
     missed(usual, FREQUENCY * seconds / 2.0, seconds)
 }
 
-/// Returns the process noise of uniform motion without any IMU sample. Without it the images do not
-/// tell the climber's acceleration from the platform's, and the climber may set off or stop.
+/// Returns the process noise of uniform motion without any IMU sample. Images alone cannot
+/// distinguish the climber's acceleration from the platform's, and the climber may start or stop.
 pub fn blind(usual: &ProcessNoise) -> ProcessNoise {
     let missed = missed(usual, 1.0, CORRELATION);
     ProcessNoise { jerk: usual.jerk.sup(&JERK.into()), ..missed }

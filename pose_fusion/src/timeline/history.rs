@@ -17,7 +17,8 @@ use std::collections::VecDeque;
 /// Largest number of entries: 1 s of 1,000 IMU samples, 200 readings and 200 images per second.
 pub const CAPACITY: usize = 1400;
 
-/// Half the width of the mean of the readings that is the motion at an image, s.
+/// Half the width of the triangular mean of the IMU readings that is taken as the motion at an
+/// image, s.
 const SMOOTHING: f64 = 0.03;
 
 /// What happened at an instant.
@@ -89,7 +90,7 @@ pub struct History {
     processed: usize,
     /// Entries that were dropped because the history was full.
     pub overflows: u64,
-    /// Half the width of the mean that is the motion at the newest image, s.
+    /// Half the width of the mean that was taken as the motion at the newest image, s.
     pub smoothing: f64,
 }
 

@@ -1,5 +1,5 @@
-//! The recordings with ground truth (folder in the environment variable VOLANT_SHARED) with the true marker
-//! centroids plus noise in place of a tracker.
+//! The recordings with ground truth (folder in the environment variable VOLANT_SHARED) with the
+//! true marker centroids plus noise in place of a tracker.
 
 use bag::recording::{self, true_centroids};
 use rig_simulator::{random::Random, recording::Recording};

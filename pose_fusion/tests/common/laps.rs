@@ -15,7 +15,7 @@ pub struct Laps {
     pub sensors: SensorConfig,
     /// How often.
     pub count: u32,
-    /// Encoder faults: up to 3 s of silence, repeated or frozen readings, delays.
+    /// Encoder faults: up to 3 s of silence, repeated or stuck readings, delays.
     pub broken_encoders: bool,
 }
 

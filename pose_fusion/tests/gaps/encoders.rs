@@ -24,8 +24,8 @@ fn drive(seed: u64, ramp: f64) -> MotionConfig {
     }
 }
 
-/// Largest error (m), and its square over the variance, of the poses from 3 s on; `change` makes the
-/// inputs of the time of their arrival, s, `None` for those that do not come.
+/// Largest error (m), and its square over the variance, of the poses from 3 s on; `change` makes
+/// the inputs of the time of their arrival, s, `None` for those that do not come.
 fn worst(
     motion: impl Fn(u64) -> MotionConfig,
     change: impl Fn(f64, Input) -> Option<Input>,

@@ -1,4 +1,5 @@
-//! IMU samples that arrive in bursts: with the stamps of their arrival, and late with the right ones.
+//! IMU samples that arrive in bursts: with the stamps of their arrival, and late with the right
+//! ones.
 
 use super::common::{scoring, simulated};
 use pose_fusion::{FusionConfig, Warning};

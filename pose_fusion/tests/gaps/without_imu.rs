@@ -87,8 +87,8 @@ fn a_single_image_with_four_markers_corrects_the_tilt() {
     assert!(all > 40 && wrong == 0, "{wrong} of {all}");
 }
 
-/// Nine seconds of a swing with inputs as `change` makes them of the time of their arrival, s; `None`
-/// for those that do not come.
+/// Nine seconds of a swing with inputs as `change` makes them of the time of their arrival, s;
+/// `None` for those that do not come.
 fn changed(change: impl Fn(f64, Input) -> Option<Input>) -> (simulated::Run, scoring::Outputs) {
     let sensors = SensorConfig::nominal(1);
     let motion = MotionConfig { duration: END, still_until: -10.0, ..MotionConfig::nominal(1) };

@@ -36,8 +36,8 @@ fn a_clock_set_back_by_less_than_a_second_starts_again() {
     }
 }
 
-/// From two seconds on the IMU's clock is ahead by `by`, or behind, or that of camera and encoders is:
-/// the time offset follows within 1.5 s, also beyond the 0.3 s that are searched.
+/// From two seconds on the IMU's clock is ahead by `by`, or behind, or that of camera and encoders
+/// is: the time offset follows within 1.5 s, also beyond the 0.3 s that are searched.
 #[test]
 fn a_step_of_one_clock_moves_the_time_offset() {
     let run = recording();
@@ -93,8 +93,8 @@ fn a_step_of_one_clock_moves_the_time_offset() {
     }
 }
 
-/// A frozen filter keeps its pose through a step of the IMU's clock and follows it afterwards; a reset
-/// takes the clocks to be those of the configuration.
+/// A frozen filter keeps its pose through a step of the IMU's clock and follows it afterwards; a
+/// reset takes the clocks to be those of the configuration.
 #[test]
 fn a_frozen_filter_follows_a_step_of_a_clock_afterwards() {
     let run = recording();

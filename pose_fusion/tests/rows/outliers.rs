@@ -56,8 +56,8 @@ fn with_inputs_and(
     Outcome { score, outputs, status: fusion.status() }
 }
 
-/// One reading of the encoders is off by as much as a climber that is jerked would just reach, while
-/// two markers are hidden: the readings after it say that it was wrong.
+/// One reading of the encoders is off by as much as a climber that is jerked would just reach,
+/// while two markers are hidden: the readings after it say that it was wrong.
 #[test]
 fn one_encoder_reading_a_few_centimeters_off_is_no_jerk_of_the_climber() {
     for (seed, off) in (1..=4).flat_map(|seed| [0.024, 0.028, 0.03, 0.033].map(|off| (seed, off))) {
@@ -124,7 +124,8 @@ fn shaken(seed: u64, valid: f64, mut off: impl FnMut(f64) -> Vector2<f64>) {
     assert!(count as f64 > statuses.len() as f64 * valid, "valid {count} of {}", statuses.len());
 }
 
-/// The camera shakes, from the beginning or for a while. Before, the pose was LOST most of the time.
+/// The camera shakes, from the beginning or for a while. Before, the pose was LOST most of the
+/// time.
 #[test]
 fn a_camera_that_shakes_costs_accuracy_and_not_the_pose() {
     for (seed, sigma, from, to) in [(1, 0.3, 0.0, 20.0), (2, 0.5, 5.0, 8.0), (3, 0.2, 0.0, 20.0)] {

@@ -1,5 +1,5 @@
-//! Encoders: exchanged or reversed rails, rails in millimeters, a reversed turn, and a camera turned
-//! by a right angle.
+//! Encoders: exchanged or reversed rails, rails in millimeters, a reversed turn, and a camera
+//! turned by a right angle.
 //!
 //! The adjustment with a free matrix between rail readings and world axes is nearly linear: it
 //! converges from the identity to any exchange or reversal.

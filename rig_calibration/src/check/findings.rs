@@ -185,7 +185,7 @@ pub(crate) fn deaf(axis: usize) -> Finding {
         ..Finding::wrong(
             &format!("climber.{joint}"),
             format!(
-                "the joint `{joint}` does not follow the climber's motion: its reading is frozen \
+                "the joint `{joint}` does not follow the climber's motion: its reading is stuck \
                  or of another axis"
             ),
             "look at the encoder's cable and at the joint's name in climber_driver's parameters",

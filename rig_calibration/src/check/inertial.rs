@@ -7,13 +7,14 @@ use rig_model::{ImuSample, median, topics};
 
 /// Relative deviation of its median that motion and bias explain.
 const TOLERANCE: f64 = 0.15;
-/// Share of samples that equal the one before, above which a sensor is stuck: a coarse resolution at
-/// rest, or samples that are sent twice, give less.
+/// Share of samples that equal the one before, above which a sensor is stuck: a coarse resolution
+/// at rest, or samples that are sent twice, give less.
 const REPEATED: f64 = 0.9;
 /// Factor by which the measured noise exceeds the file's where the file is wrong.
 const NOISE: f64 = 10.0;
 
-/// Finds an accelerometer or gyroscope that repeats one value.
+/// Finds an accelerometer or gyroscope of which all three values repeat. One stuck axis beside two
+/// that change is not found.
 pub(crate) fn examine_repeated(state: &mut Corrected) {
     type Value = fn(&ImuSample) -> Vector3<f64>;
     let sensors: [(&str, Value); 2] =

@@ -114,7 +114,7 @@ pub(crate) fn explain(
     work: Adjustment<'_>,
     moved: Option<usize>,
 ) -> Result<Explained, CalibrationError> {
-    let deaf = frozen_axes(&work)?;
+    let deaf = stuck_axes(&work)?;
     if !deaf.is_empty() {
         return Ok(Explained::Deaf(deaf));
     }
@@ -228,7 +228,7 @@ fn deaf_axes(mut work: Adjustment<'_>) -> Result<Vec<usize>, CalibrationError> {
 
 /// Returns the climber axes (x, y, turn) with a constant reading although the climber moves along
 /// them.
-fn frozen_axes(work: &Adjustment<'_>) -> Result<Vec<usize>, CalibrationError> {
+fn stuck_axes(work: &Adjustment<'_>) -> Result<Vec<usize>, CalibrationError> {
     let climber = &work.recording.climber;
     let reading = |axis: usize, k: usize| match axis {
         2 => climber[k].2,
@@ -240,10 +240,10 @@ fn frozen_axes(work: &Adjustment<'_>) -> Result<Vec<usize>, CalibrationError> {
     let mut with = work.clone();
     with.priors = priors(work.start.camera.distortion(), &[], false);
     with.iterations = 20;
-    let mut frozen = vec![];
+    let mut stuck = vec![];
     let candidates: Vec<usize> = (0..3).filter(constant).collect();
     if candidates.is_empty() {
-        return Ok(frozen);
+        return Ok(stuck);
     }
     let solved = with.solve();
     // All constant axes are freed together, then each is held again.
@@ -263,8 +263,8 @@ fn frozen_axes(work: &Adjustment<'_>) -> Result<Vec<usize>, CalibrationError> {
         let cost = solved.unwrap_or(f64::INFINITY);
         let noise = (least / (8.0 * images)).max(0.5);
         if (cost - least) / noise > MOVES * images {
-            frozen.push(*axis);
+            stuck.push(*axis);
         }
     }
-    Ok(frozen)
+    Ok(stuck)
 }

@@ -89,9 +89,9 @@ impl ClimberTrack {
         self.readings.back().is_some_and(|(newest, _, _)| self.leaps_near(*newest))
     }
 
-    /// Returns whether the reading at `stamp` is the first of an axis that differs after equal ones,
-    /// by no more than a climber drives (3 sigma of [`SPEED`]) in the time for which they were
-    /// equal, and by more than one that sets off.
+    /// Returns whether the reading at `stamp` is the first of an axis that differs after equal
+    /// ones, by no more than a climber drives (3 sigma of [`SPEED`]) in the time for which they
+    /// were equal, and by more than one that sets off.
     pub fn moves_on(&self, stamp: Stamp) -> bool {
         let place = self.place_of(stamp);
         let Some(reading) = self.readings.get(place) else { return false };
