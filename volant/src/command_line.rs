@@ -120,7 +120,7 @@ impl Manual {
     /// A page exists, or is not writable.
     pub fn write(&self, command: Command, itself: bool) -> Result<(), FileError> {
         std::fs::create_dir_all(&self.out)
-            .map_err(|source| FileError::Io { path: self.out.clone(), source })?;
+            .map_err(|error| FileError::Io { path: self.out.clone(), error })?;
         let mut command = command.disable_help_subcommand(true);
         command.build();
         self.pages(&command, "volant", itself)
@@ -134,7 +134,7 @@ impl Manual {
             clap_mangen::Man::new(command.clone().after_help(Resettable::Reset))
                 .render(&mut page)
                 .and_then(|()| write!(page, ".SH \"EXIT STATUS\"\n.nf\n{status}\n.fi\n"))
-                .map_err(|source| FileError::Io { path: path.clone(), source })?;
+                .map_err(|error| FileError::Io { path: path.clone(), error })?;
             files::write(&path, &page, self.overwrite)?;
         }
         command

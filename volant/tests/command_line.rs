@@ -175,7 +175,10 @@ fn a_rig_file_that_is_wrong_is_named_with_its_key() {
         place.fails(REPLAY, &words);
     }
     fs::remove_file(place.path("rig.yaml")).unwrap();
-    place.fails(REPLAY, &["rig.yaml"]);
+    let missing = ["rig.yaml", "there is no such file", "correct the path"];
+    for command in [REPLAY, "markers --rig rig.yaml --out markers.pdf"] {
+        place.fails(command, &missing);
+    }
 }
 
 /// A replay has no `-p`.
@@ -198,7 +201,7 @@ fn the_remedy_for_a_missing_height_is_one_that_a_replay_has() {
 fn a_parameter_file_that_is_wrong_is_named_with_its_parameter() {
     let place = with_bag();
     let replay = format!("{REPLAY} --params-file params.yaml");
-    place.fails(&replay, &["params.yaml"]);
+    place.fails(&replay, &["params.yaml", "there is no such file", "correct the path"]);
     for (node, line, words) in [
         ("pose_fusion", "markers: {gait: 9.0}", ["markers.gait", "markers.gate"]),
         ("pose_fusion", "history: 60.0", ["history", "0.4"]),

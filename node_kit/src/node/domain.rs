@@ -87,7 +87,7 @@ impl Domain {
                 };
                 move || watch(&view, middleware, lost)
             })
-            .map_err(|source| NodeError::System { what: "a thread".into(), source })?;
+            .map_err(|error| NodeError::System { what: "a thread".into(), error })?;
         Ok(Self {
             context,
             transport,

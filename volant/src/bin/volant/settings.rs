@@ -91,8 +91,7 @@ pub fn check_given(path: &Path) -> anyhow::Result<()> {
 impl<'a> Files<'a> {
     fn read(path: &'a Path, more: &'a [PathBuf], namespace: &str) -> anyhow::Result<Self> {
         let mut ros = RosArguments::default();
-        ros.add_file(path.to_owned())
-            .with_context(|| format!("{}: not a usable rig file", path.display()))?;
+        ros.add_file(path.to_owned()).context("not a usable rig file")?;
         more.iter().try_for_each(|file| ros.add_file(file.clone()))?;
         ros.allow_of_others(up::parameters());
         ros.reject_unknown();
