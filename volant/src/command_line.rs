@@ -4,9 +4,11 @@
 
 use clap::{Command, Parser, builder::Resettable, error::ErrorKind};
 use node_kit::{
+    NodeName,
     console::{EXIT_STATUS, OutputError, survive_file_size_limit},
     errln,
     files::{self, FileError},
+    names::NameError,
     out,
 };
 use std::{
@@ -65,6 +67,23 @@ pub fn seconds(
         let time = Duration::try_from_secs_f64(number(text)?);
         time.map_err(|error| error.to_string())
     }
+}
+
+/// Parses a namespace, with slashes around it or without; empty or `/`: none.
+///
+/// # Errors
+/// It is not a name of ROS 2.
+pub fn namespace(text: &str) -> Result<String, NameError> {
+    let namespace = text.trim_matches('/');
+    NodeName::new(namespace, "volant").map(|_| namespace.to_owned())
+}
+
+/// Parses a topic; a relative name is one of the namespace `/`.
+///
+/// # Errors
+/// It is not a name of ROS 2.
+pub fn topic(text: &str) -> Result<String, NameError> {
+    NodeName::new("/", "volant")?.expand(text)
 }
 
 /// Joins the words of a command line, quoted for a shell.

@@ -73,6 +73,9 @@ fn a_wrong_command_line_is_2() {
         "record --out run.mcap --split-duration 10",
         "record --out run --split-size 0",
         "record --out run --keep 3",
+        "record --out run topic!",
+        "replay x --rig r.yaml --out y --namespace a+b",
+        "monitor --namespace a//b",
         "calibrate climber x --rig r --platform 0,O,0,0.12",
         "calibrate climber x --rig r --params-file p --camera --out o",
     ] {

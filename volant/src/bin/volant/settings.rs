@@ -13,13 +13,16 @@ use node_kit::{
 use pose_fusion::node::FusionNode;
 use rig_model::{Rig, rig::did_you_mean, topics};
 use std::path::{Path, PathBuf};
-use volant::replay::{Cores, Remap, TopicNames};
+use volant::{
+    command_line::namespace,
+    replay::{Cores, Remap, TopicNames},
+};
 
 /// Where the rig's topics are in a bag.
 #[derive(clap::Args, Default)]
 pub struct BagTopics {
     /// Namespace of the rig's topics in the bag
-    #[arg(long, default_value = "")]
+    #[arg(long, default_value = "", value_parser = namespace)]
     pub namespace: String,
     /// Remap a topic, FROM:=TO; repeatable
     #[arg(long, value_name = "FROM:=TO", value_parser = remap)]
