@@ -263,6 +263,11 @@ fn a_damaged_bag_is_recovered() {
     place.write("cut.mcap", &bytes[..40]);
     let printed = place.failed("bag recover cut.mcap --out nothing.mcap");
     assert!(printed.contains("no readable message"), "{printed}");
+    replay_fails(
+        &place,
+        "cut.mcap",
+        &["no readable message, because it is cut off", "record it again"],
+    );
     let printed = place.done("bag info recovered.mcap");
     assert!(
         printed.contains(topics::absolute::IMU) && printed.contains("messages  4"),
