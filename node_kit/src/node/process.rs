@@ -162,15 +162,8 @@ impl Process {
         for block in doubtful {
             logger.log(Level::Warn, format!("{block}, if it is not another node's"));
         }
-        for (parameter, origin) in store.ignored() {
-            let hint = store.hint(parameter);
-            logger.log(
-                Level::Warn,
-                format!(
-                    "{origin}: `{parameter}` is given for all nodes and is no parameter of this \
-                     one{hint}; it is ignored"
-                ),
-            );
+        for ignored in store.ignored() {
+            logger.log(Level::Warn, ignored);
         }
         let parts = NodeParts {
             remaps: arguments.remaps(),
