@@ -127,8 +127,8 @@ impl Diagnostics {
         let is_zero = stamp == Stamp::default();
         self.without_clock = if is_zero { self.without_clock.saturating_add(1) } else { 0 };
         if self.without_clock == WITHOUT_CLOCK {
-            let text = "use_sim_time is set, and there is no time on /clock yet: timers wait for it, \
-                        and with them periodic topics; start the simulator or `volant play \
+            let text = "use_sim_time is set, and there is no time on /clock yet: timers wait for \
+                        it, and with them periodic topics; start the simulator or `volant play \
                         --clock`, or set use_sim_time to false";
             endpoints.logger.log(Level::Warn, text);
         }
