@@ -8,7 +8,7 @@ use super::{
     metadata::{self, FileContents, join},
     qos_from_yaml,
 };
-use node_kit::files::{self, FileError, OutputFile, Pending};
+use node_kit::files::{self, OutputFile, Pending};
 use std::{
     fs, io,
     path::{Path, PathBuf},
@@ -97,11 +97,13 @@ impl BagWriter {
     /// The path exists already, or is not writable.
     pub fn create(path: &Path, options: WriteOptions) -> Result<Self, BagError> {
         let lone = path.extension().is_some_and(|e| e == "mcap");
-        files::check_output(path, lone && options.replace, &[])?;
-        if !lone && path.exists() {
-            // A device, which is no place for a folder.
-            return Err(FileError::Exists(path.to_owned()).into());
+        // A file, or a device, which are no place for a folder.
+        if !lone && fs::symlink_metadata(path).is_ok() && !path.is_dir() {
+            let reason = "exists already and is a file, but a bag whose name does not end with \
+                          .mcap is a new folder; give another name, or one that ends with .mcap";
+            return Err(BagError::unusable(path, reason));
         }
+        files::check_output(path, options.replace, &[])?;
         let mut bag = Self {
             path: path.to_owned(),
             folder: None,

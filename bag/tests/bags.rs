@@ -307,6 +307,10 @@ fn foreign_files_are_rejected_with_a_remedy() {
     assert!(error.contains("gone.mcap") && error.contains("recover"), "{error}");
     let exists = BagWriter::create(&file("there.mcap", b"x"), WriteOptions::default()).unwrap_err();
     assert!(matches!(exists, BagError::Output(FileError::Exists { .. })));
+    // Without the ending a bag is a folder: no option replaces a file by it.
+    let options = WriteOptions { replace: true, ..WriteOptions::default() };
+    let error = BagWriter::create(&file("there", b"x"), options).unwrap_err().to_string();
+    assert!(error.contains("ends with .mcap") && !error.contains("overwrite"), "{error}");
 }
 
 #[test]

@@ -36,7 +36,6 @@ pub struct RosArguments {
     levels: Vec<(Option<String>, Level)>,
     outputs: LogOutputs,
     of_others: BTreeSet<String>,
-    strict: bool,
     enclave: Option<String>,
 }
 
@@ -194,11 +193,6 @@ impl RosArguments {
         self.of_others.extend(names);
     }
 
-    /// Rejects what no node of this process declares, in files that other nodes share too.
-    pub fn reject_unknown(&mut self) {
-        self.strict = true;
-    }
-
     /// Adds a remap for every node, as `-r` does; `from` may be `__ns` or `__node`.
     pub fn remap(&mut self, from: &str, to: &str) {
         self.remaps.push(Remap { node: None, from: from.to_owned(), to: to.to_owned() });
@@ -280,7 +274,7 @@ impl RosArguments {
                          correct its spelling"
                     ),
                 );
-                if self.is_own(file, node) {
+                if Self::is_own(file, node) {
                     return Err(unknown);
                 }
                 doubtful.push(unknown);
@@ -301,8 +295,8 @@ impl RosArguments {
 
     /// Whether a file belongs to this project, as a rig file does: what it does not know is a
     /// mistake.
-    fn is_own(&self, file: &ParameterFile, node: &NodeName) -> bool {
-        self.strict || file.for_node(&node.fully_qualified()).contains_key(RIG_KEY)
+    fn is_own(file: &ParameterFile, node: &NodeName) -> bool {
+        file.for_node(&node.fully_qualified()).contains_key(RIG_KEY)
     }
 
     /// Declares a node's parameters, those of every node among them, with the values given for it.
@@ -338,7 +332,7 @@ impl RosArguments {
         for source in self.sources.iter().chain(own) {
             match source {
                 ParameterSource::File { path, file } => {
-                    let own = self.is_own(file, node);
+                    let own = Self::is_own(file, node);
                     let (origin, node) = (path.display().to_string(), node.fully_qualified());
                     all.extend(file.for_node(&node).into_iter().map(|(name, value)| {
                         let shared = (!own || self.of_others.contains(&name))

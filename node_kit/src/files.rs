@@ -20,11 +20,17 @@ pub const LARGEST_TEXT: u64 = 1 << 20;
 /// Reads a text file.
 ///
 /// # Errors
-/// The system's error; [`ErrorKind::FileTooLarge`] beyond [`LARGEST_TEXT`];
-/// [`ErrorKind::InvalidData`] if the text is not UTF-8.
+/// The system's error, with the remedy where there is no such file; [`ErrorKind::FileTooLarge`]
+/// beyond [`LARGEST_TEXT`]; [`ErrorKind::InvalidData`] if the text is not UTF-8.
 pub fn read_text(path: &Path) -> io::Result<String> {
     let mut text = String::new();
-    File::open(path)?.take(LARGEST_TEXT + 1).read_to_string(&mut text)?;
+    let file = File::open(path).map_err(|error| match error.kind() {
+        kind @ ErrorKind::NotFound => {
+            io::Error::new(kind, "there is no such file; correct the path, or create the file")
+        }
+        _ => error,
+    })?;
+    file.take(LARGEST_TEXT + 1).read_to_string(&mut text)?;
     if text.len() as u64 > LARGEST_TEXT {
         let mebibytes = LARGEST_TEXT >> 20;
         return Err(io::Error::new(
@@ -59,26 +65,26 @@ pub enum FileError {
     #[error("{}: two outputs have this name; give each its own", .0.display())]
     Twice(PathBuf),
     /// An operation of the operating system failed.
-    #[error("{}: cannot be written: {source}; check its folder, the permissions and the space on \
+    #[error("{}: cannot be written: {error}; check its folder, the permissions and the space on \
              the disk", path.display())]
     Io {
         /// The output.
         path: PathBuf,
-        /// The system's error.
-        source: io::Error,
+        /// The system's error. The message has it, so it is no `source`: `{:#}` would repeat it.
+        error: io::Error,
     },
 }
 
 impl FileError {
-    fn io(path: &Path, source: io::Error) -> Self {
-        Self::Io { path: path.to_owned(), source }
+    fn io(path: &Path, error: io::Error) -> Self {
+        Self::Io { path: path.to_owned(), error }
     }
 
     /// The error of creating what must not exist.
-    fn of(path: &Path, source: io::Error) -> Self {
-        match source.kind() {
+    fn of(path: &Path, error: io::Error) -> Self {
+        match error.kind() {
             ErrorKind::AlreadyExists => Self::Exists(path.to_owned()),
-            _ => Self::io(path, source),
+            _ => Self::io(path, error),
         }
     }
 }

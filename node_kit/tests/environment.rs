@@ -97,3 +97,22 @@ fn parameters_of_other_nodes_in_a_shared_file_are_ignored_with_a_warning() {
         assert!(lines.iter().any(|line| line.contains(word)), "{text}: {lines:?}");
     }
 }
+
+#[test]
+fn endpoints_whose_quality_of_service_differs_are_named_at_both_ends() {
+    let best_effort = "qos_overrides./loop.publisher.reliability:=best_effort";
+    let to = ["--ros-args", "-r", "__node:=a", "-r", "~/beats:=/loop", "-p", best_effort];
+    let from = ["--ros-args", "-r", "__node:=b", "-r", "pose:=/loop"];
+    let nodes = [minimal(62, &to, &[]), minimal(62, &from, &[])];
+    for (node, end) in nodes.iter().zip(["publisher", "subscription"]) {
+        let line = node.line_with(&format!("the {end} of /loop here"), LONG);
+        assert!(line.contains(&format!("qos_overrides./loop.{end}.reliability")), "{line}");
+    }
+}
+
+#[test]
+fn a_node_without_a_simulated_clock_logs_that_it_waits_for_it() {
+    let node = minimal(63, &["--ros-args", "-p", "use_sim_time:=true"], &[]);
+    let line = node.line_with("use_sim_time is set", LONG);
+    assert!(line.contains("/clock") && line.contains("volant play --clock"), "{line}");
+}

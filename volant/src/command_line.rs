@@ -4,9 +4,11 @@
 
 use clap::{Command, Parser, builder::Resettable, error::ErrorKind};
 use node_kit::{
+    NodeName,
     console::{EXIT_STATUS, OutputError, survive_file_size_limit},
     errln,
     files::{self, FileError},
+    names::NameError,
     out,
 };
 use std::{
@@ -67,6 +69,23 @@ pub fn seconds(
     }
 }
 
+/// Parses a namespace, with slashes around it or without; empty or `/`: none.
+///
+/// # Errors
+/// It is not a name of ROS 2.
+pub fn namespace(text: &str) -> Result<String, NameError> {
+    let namespace = text.trim_matches('/');
+    NodeName::new(namespace, "volant").map(|_| namespace.to_owned())
+}
+
+/// Parses a topic; a relative name is one of the namespace `/`.
+///
+/// # Errors
+/// It is not a name of ROS 2.
+pub fn topic(text: &str) -> Result<String, NameError> {
+    NodeName::new("/", "volant")?.expand(text)
+}
+
 /// Joins the words of a command line, quoted for a shell.
 pub fn quoted(words: &[String]) -> String {
     // No argument contains a NUL byte.
@@ -120,7 +139,7 @@ impl Manual {
     /// A page exists, or is not writable.
     pub fn write(&self, command: Command, itself: bool) -> Result<(), FileError> {
         std::fs::create_dir_all(&self.out)
-            .map_err(|source| FileError::Io { path: self.out.clone(), source })?;
+            .map_err(|error| FileError::Io { path: self.out.clone(), error })?;
         let mut command = command.disable_help_subcommand(true);
         command.build();
         self.pages(&command, "volant", itself)
@@ -134,7 +153,7 @@ impl Manual {
             clap_mangen::Man::new(command.clone().after_help(Resettable::Reset))
                 .render(&mut page)
                 .and_then(|()| write!(page, ".SH \"EXIT STATUS\"\n.nf\n{status}\n.fi\n"))
-                .map_err(|source| FileError::Io { path: path.clone(), source })?;
+                .map_err(|error| FileError::Io { path: path.clone(), error })?;
             files::write(&path, &page, self.overwrite)?;
         }
         command

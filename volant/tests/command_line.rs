@@ -73,6 +73,9 @@ fn a_wrong_command_line_is_2() {
         "record --out run.mcap --split-duration 10",
         "record --out run --split-size 0",
         "record --out run --keep 3",
+        "record --out run topic!",
+        "replay x --rig r.yaml --out y --namespace a+b",
+        "monitor --namespace a//b",
         "calibrate climber x --rig r --platform 0,O,0,0.12",
         "calibrate climber x --rig r --params-file p --camera --out o",
     ] {
@@ -175,7 +178,10 @@ fn a_rig_file_that_is_wrong_is_named_with_its_key() {
         place.fails(REPLAY, &words);
     }
     fs::remove_file(place.path("rig.yaml")).unwrap();
-    place.fails(REPLAY, &["rig.yaml"]);
+    let missing = ["rig.yaml", "there is no such file", "correct the path"];
+    for command in [REPLAY, "markers --rig rig.yaml --out markers.pdf"] {
+        place.fails(command, &missing);
+    }
 }
 
 /// A replay has no `-p`.
@@ -198,7 +204,7 @@ fn the_remedy_for_a_missing_height_is_one_that_a_replay_has() {
 fn a_parameter_file_that_is_wrong_is_named_with_its_parameter() {
     let place = with_bag();
     let replay = format!("{REPLAY} --params-file params.yaml");
-    place.fails(&replay, &["params.yaml"]);
+    place.fails(&replay, &["params.yaml", "there is no such file", "correct the path"]);
     for (node, line, words) in [
         ("pose_fusion", "markers: {gait: 9.0}", ["markers.gait", "markers.gate"]),
         ("pose_fusion", "history: 60.0", ["history", "0.4"]),
@@ -209,7 +215,6 @@ fn a_parameter_file_that_is_wrong_is_named_with_its_parameter() {
             ["pendulum.climber_attachment", "three"],
         ),
         ("marker_tracker", "max_predicted: six", ["max_predicted", "six"]),
-        ("/**", "no_node_has_this: 1", ["no_node_has_this", "params.yaml"]),
         ("pose_fusion", "model: published", ["`model` is \"published\"", "one of tight, paper"]),
         ("pose_fusion", "paper: {ratio: -10.0}", ["`paper.ratio` is -10", "between 0.000001"]),
         ("pose_fusion", "paper: {ratio: .nan}", ["`paper.ratio`", "must be a number"]),
@@ -223,6 +228,11 @@ fn a_parameter_file_that_is_wrong_is_named_with_its_parameter() {
         place.write("params.yaml", text);
         place.fails(&replay, &[&words[..], &["params"]].concat());
     }
+    // Of another node that shares the file, as for the live nodes; the bag is not usable.
+    place.write("params.yaml", "/**: {ros__parameters: {no_node_has_this: 1}}\n");
+    let printed = place.failed(&replay);
+    let lines: Vec<_> = printed.lines().filter(|line| line.contains("no_node_has_this")).collect();
+    assert!(lines.len() == 1 && lines[0].contains("params.yaml"), "{printed}");
 }
 
 #[test]
@@ -257,6 +267,11 @@ fn a_damaged_bag_is_recovered() {
     place.write("cut.mcap", &bytes[..40]);
     let printed = place.failed("bag recover cut.mcap --out nothing.mcap");
     assert!(printed.contains("no readable message"), "{printed}");
+    replay_fails(
+        &place,
+        "cut.mcap",
+        &["no readable message, because it is cut off", "record it again"],
+    );
     let printed = place.done("bag info recovered.mcap");
     assert!(
         printed.contains(topics::absolute::IMU) && printed.contains("messages  4"),

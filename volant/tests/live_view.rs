@@ -103,7 +103,9 @@ fn the_monitor_shows_poses_markers_rates_losses_and_missing_nodes() {
     assert!((70.0..115.0).contains(&rate) && odometry.contains("0 lost"), "{odometry}");
 
     // Another namespace has no topics.
-    assert!(!run(81, "monitor --once --interval 3 -n /other").out.contains("odometry"));
+    let other = run(81, "monitor --once --interval 3 -n /other");
+    assert_eq!((other.status, other.out.as_str()), (Some(1), ""), "{}", other.err);
+    assert!(other.err.contains("in the namespace /other: check that"), "{}", other.err);
     // Another domain has no topics, which is an error.
     let Ran { status, err, .. } = run(82, "monitor --once --interval 1");
     assert_eq!(status, Some(1));

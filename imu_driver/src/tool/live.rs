@@ -314,8 +314,8 @@ pub(super) fn log(arguments: &Log) -> Result<(), Failure> {
         match report {
             Report::Bytes(bytes) => {
                 // Unbuffered, so that the file is complete after a kill.
-                if let Err(source) = file.write_all(bytes) {
-                    failed = Some(FileError::Io { path: out.clone(), source });
+                if let Err(error) = file.write_all(bytes) {
+                    failed = Some(FileError::Io { path: out.clone(), error });
                     return false;
                 }
                 bytes_written += bytes.len() as u64;

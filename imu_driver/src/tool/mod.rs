@@ -155,7 +155,7 @@ fn run_decode(arguments: &Decode) -> Result<(), Failure> {
     };
     // The CSV is too large to keep in memory; of an invalid log none is left.
     let mut file = BufWriter::new(OutputFile::create(csv, arguments.overwrite)?);
-    let cannot = |source| FileError::Io { path: csv.clone(), source };
+    let cannot = |error| FileError::Io { path: csv.clone(), error };
     let counts = decode_to_csv(&log, format, &mut file).map_err(|e| match e {
         LogError::Write(source) => Failure::from(cannot(source)),
         e => format!("{}: {e}", arguments.log.display()).into(),

@@ -40,8 +40,14 @@ pub fn decode_compressed_into(
     } else if data.starts_with(&[0x89, b'P', b'N', b'G']) {
         png::decode(data, image)
     } else {
-        Err(ImageError::UnknownCompression(format.to_owned()))
+        Err(ImageError::UnknownCompression(received(format, data)))
     }
+}
+
+/// Describes what was received: the message's format and the first bytes.
+fn received(format: &str, data: &[u8]) -> String {
+    let first: Vec<String> = data.iter().take(4).map(|byte| format!("{byte:02x}")).collect();
+    format!("{format}, {} bytes {}", data.len(), first.join(" ")).trim_end().to_owned()
 }
 
 fn is_jpeg(data: &[u8]) -> bool {
@@ -67,6 +73,22 @@ fn check_claim(
         Ok(())
     } else {
         Err(ImageError::TooLarge { width, height, length })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn data_of_another_format_are_named_by_their_first_bytes() {
+        for (data, words) in [
+            (&b"RIFF-WEBP"[..], "`jpeg, 9 bytes 52 49 46 46` is neither jpeg nor png"),
+            (&[], "`jpeg, 0 bytes` is neither"),
+        ] {
+            let error = decode_compressed("jpeg", data).unwrap_err().to_string();
+            assert!(error.contains(words), "{error}");
+        }
     }
 }
 

@@ -16,9 +16,8 @@ pub(crate) fn read(url: &str) -> Result<CameraModel, String> {
         }
         None => PathBuf::from(url),
     };
-    let text = node_kit::files::read_text(&path).map_err(|e| {
-        format!("camera_info_url {}: {e}; give a calibration file's path", path.display())
-    })?;
+    let text = node_kit::files::read_text(&path)
+        .map_err(|e| format!("camera_info_url {}: {e}", path.display()))?;
     CameraModel::from_calibration_file(&text)
         .map_err(|e| format!("camera_info_url {}: {e}; calibrate the camera again", path.display()))
 }

@@ -15,6 +15,7 @@ use volant_msgs::sensor_msgs::msg::{CompressedImage, Image};
 impl MarkerTrackerNode {
     /// Processes a raw image.
     pub(super) fn raw(&mut self, context: &mut NodeContext<Arrival>, message: &Image) {
+        self.check_frame(context, &message.header.frame_id);
         let mut scratch = std::mem::take(&mut self.converted);
         let clock = self.stages.start();
         let view = from_encoding(
@@ -42,6 +43,7 @@ impl MarkerTrackerNode {
         context: &mut NodeContext<Arrival>,
         message: &CompressedImage,
     ) {
+        self.check_frame(context, &message.header.frame_id);
         let mut decoder = std::mem::take(&mut self.decoder);
         let stamp = convert::stamp(&message.header.stamp);
         let clock = self.stages.start();
@@ -53,6 +55,20 @@ impl MarkerTrackerNode {
         });
         self.count_rejected(context, result);
         self.decoder = decoder;
+    }
+
+    /// Logs the first image in another frame than the rig file's.
+    fn check_frame(&mut self, context: &NodeContext<Arrival>, frame: &str) {
+        let expected = &self.rig.frames.camera;
+        if frame != expected && !self.is_frame_logged {
+            self.is_frame_logged = true;
+            let text = format!(
+                "{}: the images are in the frame `{frame}`, and frames.camera of the rig file is \
+                 `{expected}`: the mounting of the rig file is used; make the two agree",
+                self.source
+            );
+            context.log(Level::Warn, text);
+        }
     }
 
     /// Tracks the markers in an image and publishes them; returns whether it shows none.

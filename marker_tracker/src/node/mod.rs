@@ -73,6 +73,8 @@ pub struct MarkerTrackerNode {
     /// Topic or file that the images come from, for messages.
     source: String,
     incomplete: SharedCounts,
+    /// An image in another frame than the rig file's was logged.
+    is_frame_logged: bool,
     #[cfg(feature = "opencv")]
     debug: Publisher<CompressedImage>,
 }
@@ -135,6 +137,7 @@ impl NodeShell for MarkerTrackerNode {
             republished: None,
             source: parameters.source_name().to_owned(),
             incomplete: SharedCounts::default(),
+            is_frame_logged: false,
             #[cfg(feature = "opencv")]
             debug,
         };

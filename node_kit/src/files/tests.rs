@@ -20,7 +20,9 @@ fn text_is_read_and_an_endless_file_rejected() {
     fs::write(&path, [0xFF, 0xFE]).unwrap();
     assert_eq!(read_text(&path).unwrap_err().kind(), ErrorKind::InvalidData);
     fs::remove_file(&path).unwrap();
-    assert_eq!(read_text(&path).unwrap_err().kind(), ErrorKind::NotFound);
+    let missing = read_text(&path).unwrap_err();
+    assert_eq!(missing.kind(), ErrorKind::NotFound);
+    assert!(missing.to_string().contains("correct the path"), "{missing}");
     assert_eq!(read_text(Path::new("/dev/zero")).unwrap_err().kind(), ErrorKind::FileTooLarge);
 }
 
@@ -119,6 +121,8 @@ fn outputs_need_a_folder_and_names_of_their_own() {
 fn a_full_disk_and_a_folder_that_is_not_there_are_named() {
     let error = write(Path::new("/dev/full"), b"text", false).unwrap_err().to_string();
     assert!(error.contains("/dev/full") && error.contains("space on the disk"), "{error}");
-    let error = write(Path::new("/no/such/out"), b"", false).unwrap_err().to_string();
-    assert!(error.contains("/no/such/out"), "{error}");
+    let error = write(Path::new("/no/such/out"), b"", false).unwrap_err();
+    assert!(error.to_string().contains("/no/such/out"), "{error}");
+    // The message has the system's error; `{:#}` would repeat a source.
+    assert!(std::error::Error::source(&error).is_none(), "{error}");
 }

@@ -28,7 +28,7 @@ impl Devices {
         let thread = std::thread::Builder::new()
             .name(name.to_owned())
             .spawn(work)
-            .map_err(|source| NodeError::System { what: format!("the thread {name}"), source })?;
+            .map_err(|error| NodeError::System { what: format!("the thread {name}"), error })?;
         self.threads.push(thread);
         Ok(())
     }

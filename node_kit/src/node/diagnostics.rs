@@ -27,6 +27,8 @@ const MISSING_AFTER: Duration = Duration::from_secs(2);
 const HELD_UP_AFTER: Duration = Duration::from_secs(1);
 /// How long a restart of the node is reported.
 const RESTART_REPORTED_FOR: Duration = Duration::from_secs(5);
+/// Publications with the time 0 after which a node waits for `/clock`: discovery takes a second.
+const WITHOUT_CLOCK: u32 = 3;
 const DIAGNOSTICS: Qos = Qos { max_samples: 100, ..Qos::RELIABLE };
 
 /// Level of a status, with the numbers of `diagnostic_msgs/DiagnosticStatus`.
@@ -56,6 +58,8 @@ pub(crate) struct Diagnostics {
     held_up: Option<Duration>,
     /// Conflicts that were logged.
     conflicts: String,
+    /// Publications in a row with the time 0, which only a simulated clock has.
+    without_clock: u32,
 }
 
 fn pair(key: impl Into<String>, value: impl ToString) -> KeyValue {
@@ -89,6 +93,7 @@ impl Diagnostics {
             interval: 0.0,
             held_up: None,
             conflicts: String::new(),
+            without_clock: 0,
         })
     }
 
@@ -119,6 +124,14 @@ impl Diagnostics {
     pub fn publish(&mut self, endpoints: &mut Endpoints, state: LifecycleState, stamp: Stamp) {
         let before = std::mem::replace(&mut self.published, now());
         self.interval = self.published.duration_since(before).as_secs_f64();
+        let is_zero = stamp == Stamp::default();
+        self.without_clock = if is_zero { self.without_clock.saturating_add(1) } else { 0 };
+        if self.without_clock == WITHOUT_CLOCK {
+            let text = "use_sim_time is set, and there is no time on /clock yet: timers wait for \
+                        it, and with them periodic topics; start the simulator or `volant play \
+                        --clock`, or set use_sim_time to false";
+            endpoints.logger.log(Level::Warn, text);
+        }
         let mut all =
             vec![self.inputs(endpoints, state), self.outputs(endpoints), self.graph(endpoints)];
         all.extend(self.statuses.values().cloned());

@@ -14,7 +14,7 @@ use super::{
     participant::join,
     supervisor::Supervisor,
 };
-use crate::{environment::Network, inbox::now, level::Level};
+use crate::{environment::Network, inbox::now, level::Level, qos::Endpoint};
 use futures_lite::{Stream, StreamExt};
 use ros2_client::{Context, Gid};
 use rustdds::{DomainParticipantStatusEvent, GUID, RTPSEntity, StatusEvented};
@@ -87,7 +87,7 @@ impl Domain {
                 };
                 move || watch(&view, middleware, lost)
             })
-            .map_err(|source| NodeError::System { what: "a thread".into(), source })?;
+            .map_err(|error| NodeError::System { what: "a thread".into(), error })?;
         Ok(Self {
             context,
             transport,
@@ -166,6 +166,23 @@ struct View {
     ended: Arc<AtomicBool>,
 }
 
+impl View {
+    /// Name of the topic of another process's endpoint.
+    fn topic_of(&self, endpoint: GUID) -> String {
+        let readers = self.participant.discovered_readers().into_iter().map(|r| {
+            let data = r.subscription_topic_data;
+            (data.key(), data.topic_name)
+        });
+        let writers = self.participant.discovered_writers().into_iter().map(|w| {
+            let data = w.publication_topic_data;
+            (data.key, data.topic_name)
+        });
+        let found = readers.chain(writers).find(|(key, _)| *key == endpoint);
+        let name = found.map_or_else(|| "a topic".to_owned(), |(_, name)| name);
+        name.strip_prefix("rt").unwrap_or(&name).to_owned()
+    }
+}
+
 fn watch(view: &View, mut middleware: MiddlewareWatch, lost: impl FnOnce(Loss)) {
     let mut lost = Some(lost);
     let listener = view.participant.status_listener();
@@ -191,13 +208,13 @@ fn watch(view: &View, mut middleware: MiddlewareWatch, lost: impl FnOnce(Loss)) 
             lost(loss);
         }
         let woken = wait(HEARTBEAT);
-        let mut any = drain(&mut events, &waker, log, &mut logged);
+        let mut any = drain(&mut events, &waker, view, &mut logged);
         if any || woken {
             read_again = now();
         }
         while any && !view.stop.load(Ordering::Acquire) {
             std::thread::sleep(SETTLE);
-            any = drain(&mut events, &waker, log, &mut logged);
+            any = drain(&mut events, &waker, view, &mut logged);
         }
     }
 }
@@ -213,32 +230,37 @@ fn wait(time: Duration) -> bool {
 fn drain<S: Stream<Item = DomainParticipantStatusEvent> + Unpin>(
     events: &mut S,
     waker: &Waker,
-    log: &Logger,
+    view: &View,
     logged: &mut HashSet<(GUID, GUID)>,
 ) -> bool {
     let mut any = false;
     let mut task = TaskContext::from_waker(waker);
     while let Poll::Ready(Some(event)) = events.poll_next(&mut task) {
         any = true;
-        let (here, there) = match &event {
+        let (here, there, endpoint) = match &event {
             DomainParticipantStatusEvent::RemoteReaderQosIncompatible {
                 local_writer,
                 remote_reader,
                 ..
-            } => (*local_writer, *remote_reader),
+            } => (*local_writer, *remote_reader, Endpoint::Publisher),
             DomainParticipantStatusEvent::RemoteWriterQosIncompatible {
                 local_reader,
                 remote_writer,
                 ..
-            } => (*local_reader, *remote_writer),
+            } => (*local_reader, *remote_writer, Endpoint::Subscription),
             _ => continue,
         };
         // An endpoint is announced repeatedly; the mismatch is logged once.
         if logged.len() < 10_000 && logged.insert((here, there)) {
-            log.log(
+            let topic = view.topic_of(there);
+            let end = endpoint.name();
+            view.log.log(
                 Level::Warn,
-                "a publisher and a subscription of the same topic do not match for their quality \
-                 of service (`ros2 topic info -v` shows both); set qos_overrides.<topic>.…",
+                format!(
+                    "the {end} of {topic} here and its other end do not match in their quality of \
+                     service, and pass no messages (`ros2 topic info -v {topic}` shows both); \
+                     set qos_overrides.{topic}.{end}.reliability or .durability"
+                ),
             );
         }
     }

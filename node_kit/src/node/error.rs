@@ -23,12 +23,12 @@ pub enum NodeError {
     #[error(transparent)]
     Environment(#[from] EnvironmentError),
     /// The system refused a thread or a signal handler.
-    #[error("the system refused {what}: {source}")]
+    #[error("the system refused {what}: {error}")]
     System {
         /// What was requested.
         what: String,
-        /// The system's message.
-        source: std::io::Error,
+        /// The system's message. The text has it, so it is no `source`: `{:#}` would repeat it.
+        error: std::io::Error,
     },
     /// Any other reason: which file, topic or device, and what to do.
     #[error("{0}")]

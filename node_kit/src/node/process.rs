@@ -162,15 +162,8 @@ impl Process {
         for block in doubtful {
             logger.log(Level::Warn, format!("{block}, if it is not another node's"));
         }
-        for (parameter, origin) in store.ignored() {
-            let hint = store.hint(parameter);
-            logger.log(
-                Level::Warn,
-                format!(
-                    "{origin}: `{parameter}` is given for all nodes and is no parameter of this \
-                     one{hint}; it is ignored"
-                ),
-            );
+        for ignored in store.ignored() {
+            logger.log(Level::Warn, ignored);
         }
         let parts = NodeParts {
             remaps: arguments.remaps(),
@@ -190,9 +183,9 @@ impl Process {
                 let _report = ReportEnd(ended);
                 runner::run::<S>(domain, own_inbox, parts, Box::new(start), &started_sender)
             })
-            .map_err(|source| NodeError::System {
+            .map_err(|error| NodeError::System {
                 what: format!("a thread for {}", name.base()),
-                source,
+                error,
             })?;
         // The sender drops unused when the node could not start; the thread's result says why.
         if started.recv().is_ok() {
@@ -282,7 +275,7 @@ impl Process {
 
 fn handle_signals(ended: SyncSender<Ended>) -> Result<(), NodeError> {
     use signal_hook::{iterator::Signals, low_level::emulate_default_handler};
-    let refused = |source| NodeError::System { what: "a signal handler".into(), source };
+    let refused = |error| NodeError::System { what: "a signal handler".into(), error };
     let mut signals = Signals::new(console::stop_signals()).map_err(refused)?;
     std::thread::Builder::new()
         .name("signals".into())

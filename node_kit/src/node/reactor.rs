@@ -25,7 +25,7 @@ impl Reactor {
                     let _ = futures_lite::future::block_on(executor.run(stopped.recv()));
                 }
             })
-            .map_err(|source| NodeError::System { what: "a thread".into(), source })?;
+            .map_err(|error| NodeError::System { what: "a thread".into(), error })?;
         Ok(Self { executor, stop, thread: Some(thread) })
     }
 

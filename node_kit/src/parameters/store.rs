@@ -54,10 +54,16 @@ impl ParameterStore {
         Ok(store)
     }
 
-    /// Names and origins of the values for all nodes that this node does not have: another node's,
-    /// which rcl ignores too.
-    pub fn ignored(&self) -> &[(String, String)] {
-        &self.ignored
+    /// Describes the values for all nodes that this node does not have: another node's, which rcl
+    /// ignores too.
+    pub fn ignored(&self) -> impl Iterator<Item = String> {
+        self.ignored.iter().map(|(name, origin)| {
+            let hint = self.hint(name);
+            format!(
+                "{origin}: `{name}` is given for all nodes, and none here has such a \
+                 parameter{hint}; it is ignored"
+            )
+        })
     }
 
     /// ` (did you mean …?)` for an unknown name, or nothing.
@@ -199,11 +205,12 @@ mod tests {
         };
         let of = |name| ParameterStore::new(common_descriptors(), [shared(name)].into());
         let store = of("robot_description").unwrap();
-        assert_eq!(store.ignored(), [("robot_description".to_owned(), "robot.yaml".to_owned())]);
+        let ignored: Vec<String> = store.ignored().collect();
+        assert!(ignored.len() == 1 && ignored[0].starts_with("robot.yaml: `robot_description`"));
         assert_eq!(store.get("robot_description"), None);
         // Nearly one of ours, and that of another node all the same.
         let store = of("frames.base").unwrap();
-        assert_eq!(store.ignored().len(), 1);
+        assert_eq!(store.ignored().count(), 1);
         assert!(of("markers.sise").unwrap().hint("markers.sise").contains("markers.size"));
         let own = given("markers.sise", ParameterValue::Double(0.1));
         let error = ParameterStore::new(common_descriptors(), [own].into()).unwrap_err();

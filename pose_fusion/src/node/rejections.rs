@@ -1,6 +1,6 @@
 //! Inputs that the node or the estimator rejects, for the diagnostics and the status.
 
-use crate::Warning;
+use crate::{Source, Warning};
 use node_kit::node::Health;
 use rig_model::topics;
 use std::collections::BTreeMap;
@@ -13,8 +13,12 @@ pub(super) struct Rejections {
     /// Number and newest reason by topic, since the last report.
     rejected: BTreeMap<String, (u64, String)>,
     unusable: Option<String>,
-    /// Of the last second.
+    /// Of the last second, and of markers where they were unusable in the second before it too.
     last_unusable: Option<String>,
+    /// Why a marker was unusable in this second. The others of its image are used.
+    marker: Option<String>,
+    /// Whether one was in the last second.
+    was_marker_unusable: bool,
 }
 
 impl Rejections {
@@ -41,6 +45,10 @@ impl Rejections {
     pub fn note(&mut self, warning: &Warning) {
         let Some(topic) = warning.origin().map(|source| source.to_string()) else { return };
         match warning {
+            Warning::NotFinite { from: Source::Image, .. } => {
+                self.count(&topic, &warning.to_string());
+                self.marker = Some(warning.to_string());
+            }
             Warning::NotFinite { .. } | Warning::NoStamp { .. } => {
                 self.note_message(&topic, warning.to_string());
             }
@@ -56,7 +64,9 @@ impl Rejections {
 
     /// Ends a second: what was rejected before it is not reported any more.
     pub fn end_second(&mut self) {
-        self.last_unusable = self.unusable.take();
+        let marker = self.marker.take();
+        let was = std::mem::replace(&mut self.was_marker_unusable, marker.is_some());
+        self.last_unusable = self.unusable.take().or(marker.filter(|_| was));
     }
 
     /// Adds the rejections since the last report to the state of the last second.
@@ -85,8 +95,7 @@ mod tests {
     #[test]
     fn an_unusable_message_is_the_cause_for_two_seconds_and_a_late_one_is_not() {
         let mut rejections = Rejections::default();
-        let late =
-            Warning::TooOld { from: crate::Source::Image, stamp: Stamp::default(), age_s: 9.0 };
+        let late = Warning::TooOld { from: Source::Image, stamp: Stamp::default(), age_s: 9.0 };
         rejections.note(&late);
         assert_eq!(rejections.unusable(), None);
         let set = "volant/set_pose: the frame";
@@ -107,5 +116,21 @@ mod tests {
         assert!(message.contains("; 2 of climber/transform rejected"), "{message}");
         assert!(message.ends_with(set), "{message}");
         assert_eq!(rejections.report(Health::Ok, String::new()).0, Health::Ok);
+    }
+    #[test]
+    fn one_marker_makes_images_unusable_only_where_it_lasts() {
+        let mut rejections = Rejections::default();
+        let (from, stamp) = (Source::Image, Stamp::default());
+        let red = Warning::NotFinite { from, stamp, what: "red" };
+        rejections.note(&red);
+        rejections.end_second();
+        assert_eq!(rejections.unusable(), None);
+        let (_, message) = rejections.report(Health::Ok, "fusing".to_owned());
+        assert!(message.starts_with("fusing; 1 of climber/markers rejected"), "{message}");
+        rejections.note(&red);
+        rejections.end_second();
+        assert!(rejections.unusable().is_some_and(|why| why.contains("red")));
+        rejections.end_second();
+        assert_eq!(rejections.unusable(), None);
     }
 }

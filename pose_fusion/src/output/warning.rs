@@ -85,8 +85,9 @@ pub enum Warning {
     )]
     LockOutRecovered { since: Stamp, stamp: Stamp },
     #[error(
-        "the encoder reading at {stamp} contradicts the estimate by {distance_m:.3} m; the \
-         encoders are not used until they are consistent with it again"
+        "the encoder reading at {stamp} contradicts the estimate by {}; the encoders are not used \
+         until they are consistent with it again",
+        contradiction(*distance_m)
     )]
     EncodersSuspended { stamp: Stamp, distance_m: f64 },
     #[error(
@@ -111,6 +112,16 @@ pub enum Warning {
     Diverged { stamp: Stamp, what: &'static str },
 }
 
+/// Describes by how much an encoder reading contradicts the estimate: its distance, or its turn
+/// where the rails agree to a millimeter.
+fn contradiction(distance_m: f64) -> String {
+    if distance_m < 1e-3 {
+        "its turn alone (is it in radians?)".to_owned()
+    } else {
+        format!("{distance_m:.3} m")
+    }
+}
+
 impl Warning {
     /// Returns where an input that is rejected is from.
     pub const fn origin(&self) -> Option<Source> {
@@ -125,5 +136,19 @@ impl Warning {
             Self::BehindImages { .. } => Some(Source::Imu),
             _ => None,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_contradiction_of_the_turn_is_no_distance() {
+        let text = |distance_m| {
+            Warning::EncodersSuspended { stamp: Stamp::default(), distance_m }.to_string()
+        };
+        assert!(text(0.25).contains("by 0.250 m;"), "{}", text(0.25));
+        assert!(text(1e-5).contains("by its turn alone (is it in radians?)"), "{}", text(1e-5));
     }
 }

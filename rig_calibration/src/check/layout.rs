@@ -203,6 +203,16 @@ fn units(state: &mut Corrected, track: Option<&mut Track<'_>>) {
     state.findings.push(Finding { blocks: names.len() > 1, ..finding });
 }
 
+/// Unit of a mounting position of this length that is not in meters, and a factor to meters: a
+/// mounting is longer than a centimeter and within `REACH`.
+pub(super) fn unit_of(length: f64) -> Unit {
+    match (length * 1e-3 >= 1e-2, length * 1e-2 < REACH) {
+        (false, _) => ("centimeters", 1e-2),
+        (true, true) => ("millimeters or centimeters", 1e-3),
+        (true, false) => ("millimeters", 1e-3),
+    }
+}
+
 /// Brings mounting positions in millimeters or centimeters to meters.
 pub(crate) fn examine_places(state: &mut Corrected) {
     let rig = &mut state.rig;
@@ -214,11 +224,7 @@ pub(crate) fn examine_places(state: &mut Corrected) {
         if norm < REACH {
             continue;
         }
-        let (unit, factor) = if norm < 1e2 * REACH && norm * 1e-3 < 1e-2 {
-            ("centimeters", 1e-2)
-        } else {
-            ("millimeters", 1e-3)
-        };
+        let (unit, factor) = unit_of(norm);
         *place *= factor;
         state.findings.push(Finding::wrong(
             key,

@@ -186,3 +186,11 @@ fn a_step_of_the_clock_accuses_nothing_else() {
         assert!(examine_stamps(&samples)[0].blocks);
     }
 }
+
+#[test]
+fn the_unit_of_a_mounting_is_one_that_makes_it_possible() {
+    assert_eq!(layout::unit_of(5.0).0, "centimeters");
+    // 1 cm or 10 cm.
+    assert_eq!(layout::unit_of(10.0).0, "millimeters or centimeters");
+    assert_eq!(layout::unit_of(400.0).0, "millimeters");
+}

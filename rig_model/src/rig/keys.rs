@@ -141,7 +141,8 @@ impl Reader {
     pub(super) fn position(&self, key: &str) -> Result<Translation3<f64>, RigError> {
         let position: [f64; 3] = self.numbers(key, "three numbers x, y, z in meters")?;
         if position.iter().any(|v| v.abs() > LARGEST_POSITION) {
-            let requirement = "positions are in meters (not millimeters) and within ±100 m";
+            let requirement =
+                "positions are in meters (not millimeters or centimeters) and within ±100 m";
             return Err(RigError::value(key, format!("{position:?}"), requirement));
         }
         Ok(Translation3::from(position))

@@ -75,7 +75,7 @@ impl Site {
         let network = self.network.clone();
         let Some(name) = self.namespace_of(host) else { return Process::new(network) };
         let failed =
-            |source| NodeError::System { what: format!("the network namespace {name}"), source };
+            |error| NodeError::System { what: format!("the network namespace {name}"), error };
         std::thread::scope(|scope| {
             let there = scope.spawn(|| {
                 enter(name).map_err(failed)?;

@@ -231,8 +231,8 @@ fn from_bag(
 const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Reads a live topic. At most one image waits, so that the next one is always recent.
-fn from_topic(name: &str, take: &mut impl FnMut(Frame) -> Result<bool>) -> Result<usize> {
-    let name = if name.starts_with('/') { name.to_owned() } else { format!("/{name}") };
+fn from_topic(source: &str, take: &mut impl FnMut(Frame) -> Result<bool>) -> Result<usize> {
+    let name = if source.starts_with('/') { source.to_owned() } else { format!("/{source}") };
     let mut tap =
         Tap::join("_volant_calibrate").with_context(|| format!("{name}: subscribing fails"))?;
     let mut found = None;
@@ -253,8 +253,8 @@ fn from_topic(name: &str, take: &mut impl FnMut(Frame) -> Result<bool>) -> Resul
             format!("images are on {}", images.join(", "))
         };
         bail!(
-            "{name}: no such file, and no publisher of such a topic ({known}); is the \
-             camera's driver running?"
+            "{source}: there is no such file or folder, and no topic {name} ({known}); correct \
+             the path, or start the camera's driver"
         );
     };
     ensure!(

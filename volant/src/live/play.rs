@@ -125,7 +125,7 @@ pub fn play(
     let names = TopicNames::new("", &options.remap);
     let nothing = |why: String| anyhow!("{}: nothing to play{why}", options.input.display());
     let Some((first, last)) = summary.span else {
-        return Err(nothing(": it holds no message".into()));
+        return Err(nothing(": it holds no message; record it again, or give another one".into()));
     };
     let offset = u64::try_from(options.start_offset.as_nanos()).unwrap_or(u64::MAX);
     let start = first.saturating_add(offset);

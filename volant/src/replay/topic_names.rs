@@ -125,6 +125,10 @@ impl TopicNames {
         bag: &BagSummary,
         wanted: &[(&'static str, &'static str)],
     ) -> String {
+        if bag.messages() == 0 {
+            let why = if bag.complete { "" } else { ", because it is cut off or damaged" };
+            return format!("the bag holds no readable message{why}; record it again");
+        }
         let namespaces = wanted.iter().flat_map(|(name, kind)| {
             let suffix = format!("/{name}");
             bag.topics_of(kind)
@@ -198,6 +202,11 @@ mod tests {
             "the bag has /spots: name the right topic with --remap climber/markers:=TOPIC"
         );
         assert_eq!(remedy(&[("/tf", "Tf")]), "record one of them");
+        assert!(
+            remedy(&[]).contains("no readable message, because it is cut off"),
+            "{}",
+            remedy(&[])
+        );
         assert_eq!(
             TopicNames::default().list(&wanted),
             "/camera/image_raw (Image) or /climber/markers (Markers)"

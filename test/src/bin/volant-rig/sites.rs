@@ -38,7 +38,7 @@ pub(crate) struct Arguments {
 
 const HEAD: &str = "\
     # Two sites\n\n\
-    Written by `volant sites --table test/SITES.md` (as root). Two simulated rigs with their\n\
+    Written by `volant sites --table test/SITES.md` (as root). Simulated rigs ({rigs}) with their\n\
     nodes are in one network namespace, each in a DDS domain of its own; an operator's\n\
     `volant record` is in another. Eclipse's bridges, with the configurations of\n\
     `launch_config`, connect them over TCP; a link in user space loses and delays Ethernet\n\
@@ -63,5 +63,6 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
         rigs: arguments.rigs.into(),
         seed: arguments.seed,
     };
-    arguments.table.publish(HEAD, &markdown(&trial.run()?))
+    let head = HEAD.replace("{rigs}", &arguments.rigs.to_string());
+    arguments.table.publish(&head, &markdown(&trial.run()?))
 }

@@ -130,7 +130,11 @@ fn recover(paths: &[PathBuf], out: &Path, options: WriteOptions) -> anyhow::Resu
     }
     losses.iter().for_each(terminal::warn);
     let name = paths[0].file_name().unwrap_or(paths[0].as_os_str());
-    anyhow::ensure!(messages > 0, "{}: no readable message", name.display());
+    anyhow::ensure!(
+        messages > 0,
+        "{}: no readable message; record it again, or give another one",
+        name.display()
+    );
     let bag = writer.finish()?;
     outln!("{messages} messages, {}, in {}", terminal::mebibytes(bag.bytes), out.display())?;
     Ok(())

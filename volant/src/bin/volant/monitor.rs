@@ -12,14 +12,14 @@ use std::{
     time::Duration,
 };
 use volant::{
-    command_line::seconds,
-    live::monitor::{Snapshot, Watch, plain, screen},
+    command_line::{namespace, seconds},
+    live::monitor::{Snapshot, TopicLine, Watch, plain, screen},
 };
 
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Show only the topics of this namespace
-    #[arg(short, long, default_value = "", value_name = "NAMESPACE")]
+    #[arg(short, long, default_value = "", value_name = "NAMESPACE", value_parser = namespace)]
     namespace: String,
     /// Subscribe to images too, to measure their rate and delay (adds network load)
     #[arg(long)]
@@ -52,7 +52,13 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     loop {
         listen(&mut watch, &stop, arguments.interval);
         let snapshot = watch.snapshot();
-        anyhow::ensure!(!arguments.once || !snapshot.topics.is_empty(), plain::nothing(&snapshot));
+        // Topics of the whole graph, such as /diagnostics, are no sign of the namespace's rig.
+        let within = format!("/{}/", arguments.namespace).replace("//", "/");
+        let is_within = |topic: &TopicLine| topic.name.starts_with(&within);
+        anyhow::ensure!(
+            !arguments.once || snapshot.topics.iter().any(is_within),
+            plain::nothing(&snapshot)
+        );
         // A closed pipe ends it.
         let written = write!(
             std::io::stdout(),

@@ -9,15 +9,15 @@ use std::{
     time::{Duration, SystemTime},
 };
 use volant::{
-    command_line::{UsageError, seconds},
+    command_line::{UsageError, seconds, topic},
     live::record::{RecordOptions, RecordReport, bag_name, record},
-    replay::TopicNames,
 };
 
 #[derive(clap::Args)]
 #[command(group(ArgGroup::new("split").args(["split_size", "split_duration"]).multiple(true)))]
 pub struct Arguments {
     /// Topics [default: all]
+    #[arg(value_parser = topic)]
     topics: Vec<String>,
     /// Bag to write: a new rosbag2 folder, or an .mcap file
     #[arg(short, long, value_name = "OUT", required_unless_present = "into")]
@@ -74,7 +74,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let options = RecordOptions {
         output: output.clone(),
-        topics: arguments.topics.iter().map(|t| TopicNames::default().resolve(t)).collect(),
+        topics: arguments.topics.clone(),
         exclude: arguments.exclude.clone(),
         write: WriteOptions {
             compression: arguments.compression,

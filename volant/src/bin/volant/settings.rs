@@ -1,6 +1,6 @@
 //! Configuration of a replay's cores: that of the nodes with the same files.
 
-use crate::up;
+use crate::{terminal, up};
 use anyhow::Context;
 use climber_driver::node::{ClimberNode, ClimberParameters};
 use imu_driver::node::ImuNode;
@@ -13,13 +13,16 @@ use node_kit::{
 use pose_fusion::node::FusionNode;
 use rig_model::{Rig, rig::did_you_mean, topics};
 use std::path::{Path, PathBuf};
-use volant::replay::{Cores, Remap, TopicNames};
+use volant::{
+    command_line::namespace,
+    replay::{Cores, Remap, TopicNames},
+};
 
 /// Where the rig's topics are in a bag.
 #[derive(clap::Args, Default)]
 pub struct BagTopics {
     /// Namespace of the rig's topics in the bag
-    #[arg(long, default_value = "")]
+    #[arg(long, default_value = "", value_parser = namespace)]
     pub namespace: String,
     /// Remap a topic, FROM:=TO; repeatable
     #[arg(long, value_name = "FROM:=TO", value_parser = remap)]
@@ -56,14 +59,18 @@ struct Files<'a> {
 /// Reads the configuration of a namespace's nodes; later files override earlier ones.
 ///
 /// # Errors
-/// What a live node rejects, in its words: an unreadable file, a block for a mistyped node's
-/// name, an unknown or invalid parameter. Of `imu_driver` too, whose output is in the bag.
+/// What a live node rejects, in its words: an unreadable file, an unknown or invalid parameter;
+/// and a block for a mistyped node's name. Of `imu_driver` too, whose output is in the bag. An
+/// unknown parameter for all nodes, in a file that other nodes share, is a warning as of a live
+/// node.
 pub fn read(path: &Path, more: &[PathBuf], topics: &BagTopics) -> anyhow::Result<Cores> {
     let files = Files::read(path, more, &topics.namespace)?;
     let (tracker, _) = files.of::<MarkerTrackerNode>()?;
     let (fusion, values) = files.of::<FusionNode>()?;
     let climber = ClimberParameters::from_map(files.store::<ClimberNode>()?.values());
     files.of::<ImuNode>()?;
+    // The same for each node: of the others' parameters none is reported.
+    files.store::<FusionNode>()?.ignored().for_each(terminal::warn);
     let rig = Rig::from_parameters(&values).with_context(|| files.names())?;
     let climber = match climber {
         Err(error) if !matches!(error, ParameterError::Missing { .. }) => {
@@ -91,11 +98,9 @@ pub fn check_given(path: &Path) -> anyhow::Result<()> {
 impl<'a> Files<'a> {
     fn read(path: &'a Path, more: &'a [PathBuf], namespace: &str) -> anyhow::Result<Self> {
         let mut ros = RosArguments::default();
-        ros.add_file(path.to_owned())
-            .with_context(|| format!("{}: not a usable rig file", path.display()))?;
+        ros.add_file(path.to_owned()).context("not a usable rig file")?;
         more.iter().try_for_each(|file| ros.add_file(file.clone()))?;
         ros.allow_of_others(up::parameters());
-        ros.reject_unknown();
         let paths = std::iter::once(path).chain(more.iter().map(PathBuf::as_path)).collect();
         Ok(Self { ros, paths, namespace: format!("/{}", namespace.trim_matches('/')) })
     }
@@ -108,7 +113,9 @@ impl<'a> Files<'a> {
 
     fn store<S: NodeShell>(&self) -> anyhow::Result<ParameterStore> {
         let name = NodeName::new(&self.namespace, S::NAME)?;
-        self.ros.check_node_names(&name, S::NAME)?;
+        if let Some(mistyped) = self.ros.check_node_names(&name, S::NAME)?.into_iter().next() {
+            return Err(mistyped.into());
+        }
         self.ros.declare::<S::Parameters>(&name).with_context(|| self.context::<S>())
     }
 

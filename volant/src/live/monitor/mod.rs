@@ -54,14 +54,15 @@ impl Watch {
             DiscoveryRange::Subnet => "the local network",
         };
         let mut place = format!("DDS domain {} on {range}", network.domain_id);
+        let namespace = namespace.trim_matches('/').to_owned();
         if !namespace.is_empty() {
-            place += &format!(" in the namespace {namespace}");
+            place += &format!(" in the namespace /{namespace}");
         }
         Ok(Self {
             subscriptions: BTreeMap::new(),
             tap: Tap::join(NODE)?,
             monitor: Arc::default(),
-            namespace: namespace.trim_matches('/').to_owned(),
+            namespace,
             images,
             place,
             lost: false,

@@ -164,8 +164,8 @@ fn bag(
         })?,
     };
     let images = images.ok_or_else(|| match topic {
-        Some(name) => anyhow!("{shown}: no images on {name}"),
-        None => anyhow!("{shown}: no images"),
+        Some(name) => anyhow!("{shown}: no images on {name}; `volant bag info` lists the topics"),
+        None => anyhow!("{shown}: no images; record them too, or give another source"),
     })?;
     let (beside, known) = (camera_info(images.name()), summary.topics_of(CameraInfo::TYPE_NAME));
     let camera = known.iter().find(|name| **name == beside).or(match known.as_slice() {
@@ -222,8 +222,9 @@ fn topic(
     let recorded = super::live::record(topics, arguments.duration)?;
     if recorded.unpublished.contains(&name) {
         bail!(
-            "{name}: no such file, and no publisher of such a topic; is the camera's driver \
-             running?"
+            "{}: there is no such file, and no publisher of a topic {name}; correct the path, or \
+             start the camera's driver",
+            arguments.source
         );
     }
     bag(recorded.path(), Some(&name), calibration, losses)
