@@ -76,7 +76,7 @@ impl Sampled {
     const AROUND: f64 = 4.5;
     /// Distances of two more rings, px, on whatever else a band across an edge may contain: a
     /// border, a cable, the platform's rim.
-    const NEAR: f64 = 2.5;
+    const NEAR: f64 = 1.5;
     const FAR: f64 = 6.5;
 
     fn from(image: &Pixels<'_>, quad: &Quad) -> Option<Self> {
@@ -106,8 +106,10 @@ impl Sampled {
             ring
         });
         let (marker, surroundings) = (inside.middle()?, rings[0].middle()?);
-        let around = rings.iter().map(|ring| ring.scatter(surroundings)).sum::<Matrix3<f32>>();
-        let scatter = inside.scatter(marker) + around / rings.len() as f32;
+        let edge = [marker, surroundings];
+        let around =
+            rings.iter().map(|ring| ring.scatter(surroundings, edge)).sum::<Matrix3<f32>>();
+        let scatter = inside.scatter(marker, edge) + around / rings.len() as f32;
         Some(Self { marker, surroundings, scatter, hue })
     }
 }
@@ -120,9 +122,9 @@ struct Samples {
 }
 
 impl Samples {
-    /// Distance from the median color from which on a pixel shows something else, in gray values:
-    /// texture and noise of paper and platform are smaller.
-    const OTHER: f32 = 20.0;
+    /// Distance from the mixtures of marker and surroundings from which on a pixel shows something
+    /// else, in gray values: texture and noise of paper and platform are smaller.
+    const OTHER: f32 = 40.0;
 
     fn add(&mut self, rgb: [u8; 3]) {
         if self.count < 25 {
@@ -146,12 +148,17 @@ impl Samples {
         })
     }
 
-    /// Mean square of the pixels' differences from a color.
-    fn scatter(&self, from: [f32; 3]) -> Matrix3<f32> {
+    /// Mean square of the differences from a color, of the pixels that are no mixture of the two
+    /// colors beside an edge.
+    fn scatter(&self, from: [f32; 3], [marker, surroundings]: [[f32; 3]; 2]) -> Matrix3<f32> {
+        let from = Vector3::from(from);
+        let across = (Vector3::from(marker) - Vector3::from(surroundings))
+            .try_normalize(0.0)
+            .unwrap_or_default();
         let mut sum = Matrix3::zeros();
         for i in 0..self.count {
-            let off = Vector3::from_fn(|c, _| f32::from(self.channels[c][i]) - from[c]);
-            if off.norm() > Self::OTHER {
+            let off = Vector3::from(self.channels.map(|channel| f32::from(channel[i]))) - from;
+            if (off - across * across.dot(&off)).norm() > Self::OTHER {
                 sum += off * off.transpose();
             }
         }

@@ -33,7 +33,7 @@ impl Discriminant {
     /// Smallest squared distance of the two colors: 5 gray values, a few times a camera's noise.
     const MIN_DISTANCE2: f32 = 25.0;
     /// Variance of a pixel's noise, its texture and what JPEG adds: 5 gray values.
-    const NOISE2: f32 = 25.0;
+    const NOISE2: f32 = 9.0;
     /// Least sine of the angle between the two colors that separates light from paper: 3°, with
     /// which a pixel's noise of 1 % shifts the marker's share of it by 0.2.
     const MIN_SINE2: f32 = 0.05 * 0.05;

@@ -168,8 +168,13 @@ fn bags_that_cannot_be_replayed() {
 fn a_rig_file_that_is_wrong_is_named_with_its_key() {
     let place = with_bag();
     assert!(RIG.contains("size:"));
+    // A warning names what may be meant for other nodes.
+    place.write("rig.yaml", RIG.replace("size:", "sise:"));
+    let error = place.failed(REPLAY);
+    for word in ["`markers.sise`", "did you mean `markers.size`", "`markers.size` is missing"] {
+        assert!(error.contains(word), "{error}");
+    }
     for (text, words) in [
-        (RIG.replace("size:", "sise:"), ["markers.sise", "markers.size"]),
         (RIG.replace("size:", "size: [1, 2] #"), ["markers.size", "rig.yaml"]),
         ("{".to_owned(), ["rig.yaml", "not a usable rig file"]),
         (String::new(), ["rig.yaml", "not a usable rig file"]),

@@ -65,6 +65,17 @@ impl Noise {
 
 /// Draws a gray platform on a darker floor, with the markers that have a paint; rgb8.
 pub fn draw(pose: &Isometry3<f64>, paint: [Option<[f64; 3]>; 4], noise: &mut Noise) -> Vec<u8> {
+    draw_beside(pose, paint, |_, _| None, noise)
+}
+
+/// The same with things beside the markers: their color at a place about a marker's center, m along
+/// its sides.
+pub fn draw_beside(
+    pose: &Isometry3<f64>,
+    paint: [Option<[f64; 3]>; 4],
+    beside: impl Fn(f64, f64) -> Option<[f64; 3]>,
+    noise: &mut Noise,
+) -> Vec<u8> {
     let inverse = pose.inverse();
     let layout = layout();
     let color_at = |u: f64, v: f64| {
@@ -78,6 +89,11 @@ pub fn draw(pose: &Isometry3<f64>, paint: [Option<[f64; 3]>; 4], noise: &mut Noi
             let (a, b) = (c * dx + s * dy, -s * dx + c * dy);
             if a.abs() < 0.038 && b.abs() < 0.038 {
                 return paint[color.index()].unwrap_or([125.0; 3]);
+            }
+            if a.abs().max(b.abs()) < 0.06
+                && let Some(thing) = beside(a, b)
+            {
+                return thing;
             }
         }
         if p.x.abs() < 0.23 && p.y.abs() < 0.23 { [125.0; 3] } else { [80.0, 82.0, 84.0] }

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::panic)] // clippy does not recognize helpers of tests
 
+mod beside;
 #[path = "../common/mod.rs"]
 mod common;
 mod shadows;
