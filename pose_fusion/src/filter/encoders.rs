@@ -174,7 +174,9 @@ impl Filter {
             self.climber.suspect_stuck(axes);
             self.exclude_since(from);
             self.publisher.warn(Warning::EncodersStuck { since });
-            self.trust.suspend(at, Cause::Stuck, false);
+            // Stuck once the climber certainly moves meanwhile: where the images are at fault, it
+            // only drifts.
+            self.trust.suspend(at, Cause::Contradiction, false);
         }
         suspected
     }

@@ -27,6 +27,9 @@ const RATIO: f64 = 4.0;
 /// files the sums are at most 0.0032 and 0.0004 on seven recordings, three of them with real IMU
 /// samples.
 const LEAST: [f64; 2] = [0.005, 0.002];
+/// Time over which the rails must have been compared, s: within the first spans an error of the
+/// initial attitude resembles some direction.
+const COMPARED: f64 = 4.0;
 /// Changes of velocity that no climber makes in a span, m/s: readings that leap.
 const LEAPS: f64 = 1.0;
 
@@ -199,7 +202,8 @@ impl EncoderDirections {
         };
         let refutes = |k: &usize| {
             let (given, other, least) = of(*k);
-            given - other > least && given > RATIO * other
+            let compared = *k == RAILS.len() || self.seconds > COMPARED;
+            compared && given - other > least && given > RATIO * other
         };
         let holds = |k: &usize| {
             let (given, other, _) = of(*k);
