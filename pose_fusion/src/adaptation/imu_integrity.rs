@@ -34,7 +34,8 @@ pub struct ImuIntegrity {
     previous: Option<ImuReading>,
     before: Option<ImuReading>,
     mean_force: Option<Vector3<f64>>,
-    unchanged: f64,
+    /// Time for which all six values have been repeated, s.
+    pub unchanged: f64,
     /// The last reading was saturated or stuck.
     pub hides_motion: bool,
     /// Largest magnitude of each axis, and how often it was repeated: force, rate.

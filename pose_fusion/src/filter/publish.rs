@@ -4,7 +4,7 @@ use super::Filter;
 use crate::{
     ekf::{consider::TIME_OFFSET_ERROR, state::State},
     health::{
-        pose_status::{CONTRADICTED_REASON, PoseState, PoseStatus, StatusTimer},
+        pose_status::{CONTRADICTED_REASON, NO_IMU_SAMPLE, PoseState, PoseStatus, StatusTimer},
         status::Counts,
     },
     measurements::{
@@ -29,6 +29,9 @@ use std::{borrow::Cow, collections::VecDeque};
 /// time, s: until then the angular velocity between the last image and the first sample is not
 /// known.
 const RESUMING: f64 = 0.3;
+
+/// Time for which the IMU must repeat one sample to be of no use, s.
+const REPEATS: f64 = 1.0;
 
 /// Without a pose for longer than this a status alone is published, s.
 const SILENT: f64 = 0.3;
@@ -144,7 +147,9 @@ impl Filter {
     /// Outputs the estimate at the end of the time line: odometry, status, prediction and swing.
     pub(super) fn publish(&mut self) {
         let (Some(end), true) = (self.arrival.end(), self.is_started()) else { return };
-        let settings = self.settings();
+        let without_imu = self.without_imu(end);
+        let silent = without_imu.is_some();
+        let settings = self.settings(silent);
         let (Some(geometry), Some(entry)) = (&self.setup.geometry, self.history.newest_processed())
         else {
             return;
@@ -153,7 +158,6 @@ impl Filter {
             return;
         }
         let (state, reading) = (&entry.state, &entry.reading);
-        let silent = self.arrival.is_imu_silent();
         let image = self.monitor.last_used.map(|image| image.plus_seconds(state.time_offset));
         if self.publisher.silence.imu_lost && !silent {
             let resumed = *self.publisher.silence.resumed.get_or_insert(end);
@@ -179,7 +183,7 @@ impl Filter {
             markers_used: self.publisher.markers_used,
             ..PoseStatus::lost(end, self.ages(end), state.time_offset, String::new())
         }
-        .judged(&self.setup.status, silent, self.contradicted(end, state).as_deref());
+        .judged(&self.setup.status, without_imu, self.contradicted(end, state).as_deref());
         let horizon = self.setup.config.prediction_horizon;
         let earlier = end.plus_seconds(-horizon);
         let earlier = (self.history.place_of(earlier).checked_sub(1))
@@ -285,7 +289,17 @@ impl Filter {
         }
     }
 
-    fn settings(&self) -> Settings {
+    /// Returns why the pose comes from images alone, and for how long it has, s, if it does.
+    fn without_imu(&self, end: Stamp) -> Option<(&'static str, f64)> {
+        let repeats = self.imu.integrity.unchanged;
+        if self.arrival.is_imu_silent() {
+            Some((NO_IMU_SAMPLE, self.ages(end)[1]))
+        } else {
+            (repeats > REPEATS).then_some(("the IMU repeats one sample", repeats))
+        }
+    }
+
+    fn settings(&self, silent: bool) -> Settings {
         let densities = self.imu.densities(&self.setup.rig.imu);
         let mut calibration = self.setup.calibration;
         // Lasting contradictions mean that the rig's files are wrong by more than their sigmas.
@@ -295,7 +309,7 @@ impl Filter {
             rate_variance: densities.rate / self.imu.noise.period(),
             gravity: self.setup.config.gravity,
             calibration,
-            silent: self.arrival.is_imu_silent(),
+            silent,
         }
     }
 
@@ -317,7 +331,8 @@ impl Filter {
         if end {
             self.archive_until(None);
         }
-        let (settings, gravity) = (self.settings(), self.setup.config.gravity);
+        let settings = self.settings(self.arrival.is_imu_silent());
+        let gravity = self.setup.config.gravity;
         let Some(geometry) = &self.setup.geometry else { return Vec::new() };
         self.publisher.archive.smoothed(end, gravity, |entry, state| {
             odometry(entry.stamp, state, &entry.reading, geometry, &settings)

@@ -112,13 +112,10 @@ impl EncoderTrust {
         self.suspended.map(|(_, cause)| cause)
     }
 
-    /// Suspends the encoders at a reading. Suspended ones keep their cause unless they are stuck.
-    /// `returns`: the reading returns from a fault that was not noticed.
+    /// Suspends the encoders at a reading; suspended ones keep their cause. `returns`: the reading
+    /// returns from a fault that was not noticed.
     pub fn suspend(&mut self, at: Stamp, cause: Cause, returns: bool) {
-        let suspended = self.suspended.get_or_insert((at, cause));
-        if cause == Cause::Stuck {
-            suspended.1 = cause;
-        }
+        self.suspended.get_or_insert((at, cause));
         self.returned = returns.then_some(at);
         (self.consistent, self.consistent_since) = (0, None);
     }
@@ -256,7 +253,7 @@ mod tests {
         trust.suspend(at(2000), Cause::Contradiction, false);
         assert_eq!(trust.judge(at(2100), 1e6, &off, STRANGE, 3.0), Verdict::Exclude);
         assert_eq!(trust.disagreement(), Some(off));
-        trust.suspend(at(2200), Cause::Stuck, false);
+        trust.suspended = Some((at(100), Cause::Stuck));
         assert_eq!(trust.disagreement(), None);
         // A climber that stands is adopted, one that moves has stuck encoders.
         let mut stopped = EncoderTrust::default();

@@ -3,7 +3,8 @@
 use crate::config::StatusConfig;
 use rig_model::Stamp;
 
-const MIRRORED_REASON: &str = "no IMU sample, and fewer than four markers: they fit two tilts";
+/// Why the pose comes from images alone where no IMU sample arrives.
+pub const NO_IMU_SAMPLE: &str = "no IMU sample";
 /// Reason of a pose that images contradict again and again.
 pub const CONTRADICTED_REASON: &str = "images contradict the IMU or the encoders: check units, \
                             signs, orientations and frames (`volant check` names the cause)";
@@ -18,7 +19,7 @@ pub enum PoseState {
     Tracking = 1,
     /// No image was used for `status.max_image_age`; IMU samples carry the pose.
     Coasting = 2,
-    /// No IMU samples; the pose comes from images.
+    /// No usable IMU samples; the pose comes from images.
     VisionOnly = 3,
     /// The pose must not be used.
     Lost = 4,
@@ -82,13 +83,13 @@ impl PoseStatus {
         }
     }
 
-    /// Fills in state, validity and reason from the ages and sigmas. `vision_only` is whether IMU
-    /// samples are missing, `contradicted` why the pose must not be used, if the inputs
-    /// contradict each other.
+    /// Fills in state, validity and reason from the ages and sigmas. `without_imu` is why the pose
+    /// comes from images alone and for how long it has, s, if it does; `contradicted` why the pose
+    /// must not be used, if the inputs contradict each other.
     pub fn judged(
         mut self,
         config: &StatusConfig,
-        vision_only: bool,
+        without_imu: Option<(&str, f64)>,
         contradicted: Option<&str>,
     ) -> Self {
         // A sigma that is no number is beyond every limit.
@@ -96,10 +97,10 @@ impl PoseStatus {
         let beyond_position = beyond(self.position_sigma, config.max_position_sigma);
         let beyond_rotation = beyond(self.rotation_sigma, config.max_rotation_sigma);
         let lost = beyond(self.position_sigma, config.lost_position_sigma);
-        let mirrored = vision_only && self.markers_used < 4;
-        self.state = if lost || contradicted.is_some() || mirrored {
+        let mirrored = without_imu.filter(|_| self.markers_used < 4);
+        self.state = if lost || contradicted.is_some() || mirrored.is_some() {
             PoseState::Lost
-        } else if vision_only {
+        } else if without_imu.is_some() {
             PoseState::VisionOnly
         } else if self.image_age > config.max_image_age {
             PoseState::Coasting
@@ -110,14 +111,16 @@ impl PoseStatus {
         let lasting = |what: &str, age: f64| {
             if age.is_finite() { format!("{what} for {age:.2} s") } else { what.to_owned() }
         };
-        self.reason = match (contradicted, self.state) {
-            (Some(why), _) => why.to_owned(),
-            _ if mirrored => MIRRORED_REASON.to_owned(),
-            (_, PoseState::VisionOnly) => lasting("no IMU sample", self.imu_age),
-            (_, PoseState::Coasting | PoseState::Lost) if self.image_age > config.max_image_age => {
+        self.reason = match (contradicted, mirrored, without_imu) {
+            (Some(why), ..) => why.to_owned(),
+            (_, Some((why, _)), _) => {
+                format!("{why}, and fewer than four markers: they fit two tilts")
+            }
+            (.., Some((why, age))) if self.state == PoseState::VisionOnly => lasting(why, age),
+            _ if self.image_age > config.max_image_age && self.state != PoseState::Tracking => {
                 lasting("no image used", self.image_age)
             }
-            (_, PoseState::Lost) if !beyond_position => format!(
+            _ if lost && !beyond_position => format!(
                 "position sigma {:.3} m above lost_position {} m",
                 self.position_sigma, config.lost_position_sigma
             ),
@@ -160,13 +163,14 @@ impl StatusTimer {
 mod tests {
     use super::*;
 
-    fn judged(change: impl FnOnce(&mut PoseStatus), vision_only: bool) -> PoseStatus {
+    fn judged(change: impl FnOnce(&mut PoseStatus), without_imu: bool) -> PoseStatus {
         let mut status = PoseStatus::initializing(Stamp::from_nanos(0), 0.0, String::new());
         (status.position_sigma, status.rotation_sigma) = (0.001, 0.001);
         (status.image_age, status.imu_age, status.climber_age) = (0.04, 0.0, 0.01);
         status.markers_used = 4;
         change(&mut status);
-        status.judged(&StatusConfig::default(), vision_only, None)
+        let without_imu = without_imu.then_some((NO_IMU_SAMPLE, status.imu_age));
+        status.judged(&StatusConfig::default(), without_imu, None)
     }
 
     #[test]
@@ -194,10 +198,10 @@ mod tests {
         assert_eq!(never.reason, "no IMU sample");
         let config = StatusConfig { max_position_sigma: 1.0, ..StatusConfig::default() };
         let lost = PoseStatus { position_sigma: 0.5, ..tracking.clone() };
-        let lost = lost.judged(&config, false, None);
+        let lost = lost.judged(&config, None, None);
         assert!(lost.state == PoseState::Lost && lost.reason.contains("lost_position"), "{lost:?}");
         let contradicted =
-            tracking.judged(&StatusConfig::default(), false, Some(CONTRADICTED_REASON));
+            tracking.judged(&StatusConfig::default(), None, Some(CONTRADICTED_REASON));
         assert!(!contradicted.valid && contradicted.state == PoseState::Lost);
         assert!(contradicted.reason.contains("units"), "{}", contradicted.reason);
     }

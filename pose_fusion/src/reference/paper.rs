@@ -4,7 +4,7 @@
 use crate::{
     config::{FusionConfig, PaperMeasurement},
     health::{
-        pose_status::{PoseState, PoseStatus, StatusTimer},
+        pose_status::{NO_IMU_SAMPLE, PoseState, PoseStatus, StatusTimer},
         status::{Counts, InputCounts, Status, TimeOffsetStatus},
     },
     output::{Odometry, largest_sigma},
@@ -221,7 +221,7 @@ impl Paper {
             markers_used: self.last_visual.map_or(0, |(_, markers)| markers),
             ..PoseStatus::lost(now, ages, time_offset, String::new())
         }
-        .judged(limits, imu_age > GAP, None);
+        .judged(limits, (imu_age > GAP).then_some((NO_IMU_SAMPLE, imu_age)), None);
         let silence = self.silence(now);
         if silence > limits.max_image_age {
             (status.state, status.valid) = (PoseState::Lost, false);

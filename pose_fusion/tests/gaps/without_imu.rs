@@ -125,6 +125,32 @@ fn the_angular_velocity_is_as_uncertain_as_images_leave_it() {
     assert!(nees.len() > 60 && mean < 6.0, "{mean} of {}", nees.len());
 }
 
+/// A sensor or its driver may hang while it goes on publishing.
+#[test]
+fn an_imu_that_repeats_one_sample_leaves_the_pose_to_the_images_and_is_named() {
+    let held = std::cell::Cell::new(None);
+    let (run, outputs) = changed(|at, mut input| {
+        if let Input::Imu(sample) = &mut input {
+            let values = held.get().filter(|_| at > LOST);
+            let [force, rate] =
+                values.unwrap_or([sample.specific_force, sample.angular_velocity]);
+            (sample.specific_force, sample.angular_velocity) = (force, rate);
+            held.set(Some([force, rate]));
+        }
+        Some(input)
+    });
+    let from = run.start().plus_seconds(LOST + 1.5);
+    let late: Vec<_> = outputs.status.iter().filter(|s| s.stamp > from).collect();
+    assert!(late.len() > 100);
+    let named = |s: &PoseStatus| s.reason.starts_with("the IMU repeats one sample for ");
+    assert!(late.iter().all(|s| s.state == PoseState::VisionOnly && named(s)), "{:?}", late[0]);
+    for o in outputs.odometry.iter().filter(|o| o.stamp > from) {
+        let truth = run.pose_at(o.stamp).unwrap();
+        let off = (o.world_from_volant.translation.vector - truth.translation.vector).norm();
+        assert!(off < 0.02, "{off} m");
+    }
+}
+
 /// Before, no pose was published for as long as the step.
 #[test]
 fn clocks_that_are_set_back_are_followed() {
