@@ -132,8 +132,7 @@ fn an_imu_that_repeats_one_sample_leaves_the_pose_to_the_images_and_is_named() {
     let (run, outputs) = changed(|at, mut input| {
         if let Input::Imu(sample) = &mut input {
             let values = held.get().filter(|_| at > LOST);
-            let [force, rate] =
-                values.unwrap_or([sample.specific_force, sample.angular_velocity]);
+            let [force, rate] = values.unwrap_or([sample.specific_force, sample.angular_velocity]);
             (sample.specific_force, sample.angular_velocity) = (force, rate);
             held.set(Some([force, rate]));
         }
