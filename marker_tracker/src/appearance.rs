@@ -78,6 +78,9 @@ impl Sampled {
     /// border, a cable, the platform's rim.
     const NEAR: f64 = 1.5;
     const FAR: f64 = 6.5;
+    /// Largest saturation of what counts there: a signal that does not show something colorful
+    /// hardly shows some markers.
+    const GRAY: f32 = 0.35;
 
     fn from(image: &Pixels<'_>, quad: &Quad) -> Option<Self> {
         let (area, center) = quad.area_and_centroid();
@@ -107,9 +110,9 @@ impl Sampled {
         });
         let (marker, surroundings) = (inside.middle()?, rings[0].middle()?);
         let edge = [marker, surroundings];
-        let around =
-            rings.iter().map(|ring| ring.scatter(surroundings, edge)).sum::<Matrix3<f32>>();
-        let scatter = inside.scatter(marker, edge) + around / rings.len() as f32;
+        let around = rings.each_ref().map(|ring| ring.scatter(surroundings, edge, Self::GRAY));
+        let around = around.iter().sum::<Matrix3<f32>>() / rings.len() as f32;
+        let scatter = inside.scatter(marker, edge, 1.0) + around;
         Some(Self { marker, surroundings, scatter, hue })
     }
 }
@@ -125,6 +128,8 @@ impl Samples {
     /// Distance from the mixtures of marker and surroundings from which on a pixel shows something
     /// else, in gray values: texture and noise of paper and platform are smaller.
     const OTHER: f32 = 40.0;
+    /// Brightness below which a pixel has no color, gray values.
+    const DARK: f32 = 60.0;
 
     fn add(&mut self, rgb: [u8; 3]) {
         if self.count < 25 {
@@ -149,16 +154,23 @@ impl Samples {
     }
 
     /// Mean square of the differences from a color, of the pixels that are no mixture of the two
-    /// colors beside an edge.
-    fn scatter(&self, from: [f32; 3], [marker, surroundings]: [[f32; 3]; 2]) -> Matrix3<f32> {
+    /// colors beside an edge, and whose saturation is at most this.
+    fn scatter(
+        &self,
+        from: [f32; 3],
+        [marker, surroundings]: [[f32; 3]; 2],
+        saturation: f32,
+    ) -> Matrix3<f32> {
         let from = Vector3::from(from);
         let across = (Vector3::from(marker) - Vector3::from(surroundings))
             .try_normalize(0.0)
             .unwrap_or_default();
         let mut sum = Matrix3::zeros();
         for i in 0..self.count {
-            let off = Vector3::from(self.channels.map(|channel| f32::from(channel[i]))) - from;
-            if (off - across * across.dot(&off)).norm() > Self::OTHER {
+            let rgb = Vector3::from(self.channels.map(|channel| f32::from(channel[i])));
+            let off = rgb - from;
+            let is_gray = rgb.max() - rgb.min() <= saturation * rgb.max().max(Self::DARK);
+            if is_gray && (off - across * across.dot(&off)).norm() > Self::OTHER {
                 sum += off * off.transpose();
             }
         }
