@@ -180,7 +180,7 @@ impl Crossings {
         let (mut good, mut blur) = ([0.0f32; MAX_ROWS], f32x8::ZERO);
         let mut all = f32x8::ZERO;
         let light_inside = f32x8::splat((interior.light as f32).max(1e-3));
-        let inner_pixels = f32x8::splat(plan.inner_pixels(plan.band) as f32);
+        let inner_pixels = f32x8::splat(plan.inner_pixels() as f32);
         let weights = weights.map(|weight| f32x8::splat(weight as f32));
         let mut shades: Column = [0.0; MAX_ROWS];
         for group in (0..count).step_by(8) {
@@ -204,6 +204,7 @@ impl Crossings {
             // ends.
             let is_seen = difference.simd_ge(least) & present(group, count);
             let part = covered.fast_max(f32x8::ZERO).fast_min(pixels);
+            let inner_pixels = inner_pixels.fast_min(pixels);
             let inner = part.fast_min(inner_pixels);
             let light_outside = of(&rows.light_outside);
             let excess = |light: f32x8, part: f32x8, pixels: f32x8| {

@@ -175,9 +175,9 @@ impl RowPlan {
         nearest(crossing.place - f64::from(self.band - 1) / 2.0)
     }
 
-    /// Pixels of a band that lie inside of the predicted edge.
-    pub fn inner_pixels(&self, band: i32) -> i32 {
-        if self.outward { band / 2 } else { band - band / 2 }
+    /// Pixels of the band that lie inside of the predicted edge.
+    pub fn inner_pixels(&self) -> i32 {
+        if self.outward { self.band / 2 } else { self.band - self.band / 2 }
     }
 
     /// Pixels before the band.

@@ -195,7 +195,7 @@ impl Rows {
         let RowPlan { band, beyond, hop, outward, .. } = *plan;
         let (before, after) = if outward { (0, beyond) } else { (beyond, 0) };
         let rim_at = if outward { band - 1 } else { 0 };
-        let inner = plan.inner_pixels(band);
+        let inner = plan.inner_pixels();
         let second_half = if outward { inner } else { band - inner };
         let (scale, share) = (sampler.scale, sampler.scale / beyond as f32);
         for group in (0..self.count).step_by(8) {
@@ -301,7 +301,7 @@ impl Rows {
         let at = |along: i32| begin + (along - first) as u32 * plan.hop;
         let (mut s, mut sj, mut ss) = (0f32, 0f32, 0f32);
         let (mut light_inner, mut light_outer) = (0f32, 0f32);
-        let inner = plan.inner_pixels(band);
+        let inner = plan.inner_pixels().min(band);
         let inner = if plan.outward { 0..inner } else { band - inner..band };
         for (j, pixel) in (from..=to).map(at).enumerate() {
             let value = sampler.one(pixel);

@@ -216,7 +216,7 @@ impl QuadFit {
 
     /// Whether the light changes within the band of an edge, which moves it.
     ///
-    /// What all four edges have is a line or border around the paper.
+    /// What all four edges have in common is a border of the paper, not a shadow.
     pub fn is_shaded(&self) -> bool {
         let shade = |e: &Option<EdgeFit>| e.map_or(0.0, |e| e.shade);
         let border = self.edges.iter().map(shade).fold(f64::INFINITY, f64::min);
