@@ -32,15 +32,16 @@ impl Discriminant {
     const SATURATED: f32 = 228.0;
     /// Smallest squared distance of the two colors: 5 gray values, a few times a camera's noise.
     const MIN_DISTANCE2: f32 = 25.0;
-    /// Variance of a pixel's noise, its texture and what JPEG adds: 5 gray values.
+    /// Variance of each channel's noise, of texture and of what JPEG adds: 3 gray values.
     const NOISE2: f32 = 9.0;
     /// Least sine of the angle between the two colors that separates light from paper: 3°, with
     /// which a pixel's noise of 1 % shifts the marker's share of it by 0.2.
     const MIN_SINE2: f32 = 0.05 * 0.05;
 
     /// Between the mean colors (r, g, b of 0–255) of a marker and of its surroundings (Fisher's
-    /// linear discriminant); `None` where the colors are the same. `scatter`: covariance of the
-    /// colors within marker and surroundings, in addition to equal noise in the channels.
+    /// linear discriminant); `None` where the colors are the same. `scatter`: mean
+    /// square of the differences from them where something else is seen, beside equal noise in the
+    /// channels.
     pub fn between(
         marker: [f32; 3],
         surroundings: [f32; 3],

@@ -43,7 +43,8 @@ const BY_PIXEL: f64 = 0.08;
 /// The edge is crossed by rows (or columns, whichever cross it more steeply) of the image. Along a
 /// row the signal, scaled to 0 outside and 1 inside, is summed up: the place of the edge, exact for
 /// any symmetric blur and without interpolation. Where something of another level lies within the
-/// band, the measurement is repeated with a narrower one.
+/// band, or while the edge is searched the light changes in it, the measurement is repeated with a
+/// narrower one; of those in changing light the widest counts.
 ///
 /// `half_width`: of the band, px. `None` where too few rows agree on an edge.
 pub(crate) fn fit_edge(

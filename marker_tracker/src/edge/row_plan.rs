@@ -175,7 +175,7 @@ impl RowPlan {
         nearest(crossing.place - f64::from(self.band - 1) / 2.0)
     }
 
-    /// Pixels of the band that lie inside of the predicted edge.
+    /// Pixels of the band that lie inside of the predicted edge, to half a pixel.
     pub fn inner_pixels(&self) -> i32 {
         if self.outward { self.band / 2 } else { self.band - self.band / 2 }
     }

@@ -195,8 +195,7 @@ impl Rows {
         let RowPlan { band, beyond, hop, outward, .. } = *plan;
         let (before, after) = if outward { (0, beyond) } else { (beyond, 0) };
         let rim_at = if outward { band - 1 } else { 0 };
-        let inner = plan.inner_pixels();
-        let second_half = if outward { inner } else { band - inner };
+        let second_half = band / 2;
         let (scale, share) = (sampler.scale, sampler.scale / beyond as f32);
         for group in (0..self.count).step_by(8) {
             let mut begin = [0; 8];

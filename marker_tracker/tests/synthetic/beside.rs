@@ -53,6 +53,7 @@ fn markers_with_borders_or_cables_beside_them_are_tracked() {
         let most = if thing.contains("cable") { 0 } else { 40 };
         assert!(missed <= most, "{thing}: {missed} missed");
         assert!(errors.rms().amax() < 0.04, "{thing}: {errors}");
+        assert!(errors.nes() < 4.0, "{thing}: {errors}");
         assert!(errors.worst < 0.2, "{thing}: {errors}");
     }
 }

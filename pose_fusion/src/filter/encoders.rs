@@ -169,7 +169,7 @@ impl Filter {
     ) -> bool {
         let from = since.plus_seconds(self.encoder_offset());
         // Without the IMU images do not tell the climber's motion from the platform's.
-        let suspected = self.trust.may_suspect(from, at) && !self.arrival.is_imu_silent();
+        let suspected = self.trust.may_suspect(from, at) && !self.is_without_imu();
         if suspected {
             self.climber.suspect_stuck(axes);
             self.exclude_since(from);

@@ -132,7 +132,6 @@ impl Filter {
         {
             self.publisher.warn(Warning::ImuGap { from, to: sample.stamp });
             self.imu.interrupt();
-            self.trust.directions.interrupt();
             if let (Some(search), true) = (&mut self.search, seconds > BRIDGED) {
                 search.clear();
             }
@@ -164,9 +163,6 @@ impl Filter {
             self.interpolate_again(place);
         }
         self.arrival.imu(sample.stamp, reading);
-        if self.imu.integrity.hides_motion {
-            self.trust.directions.interrupt();
-        }
         if let Some(search) = &mut self.search {
             if self.imu.integrity.hides_motion {
                 search.clear();

@@ -289,6 +289,11 @@ impl Filter {
         }
     }
 
+    /// Returns whether the pose comes from images alone.
+    pub(super) fn is_without_imu(&self) -> bool {
+        self.arrival.is_imu_silent() || self.imu.integrity.unchanged > REPEATS
+    }
+
     /// Returns why the pose comes from images alone, and for how long it has, s, if it does.
     fn without_imu(&self, end: Stamp) -> Option<(&'static str, f64)> {
         let repeats = self.imu.integrity.unchanged;

@@ -47,7 +47,8 @@ impl Filter {
         let Some(mut search) = self.search.take() else { return };
         // What is searched is the rest beside the configured offset.
         let middle = self.setup.camera_offset;
-        if self.trust.cause().is_some_and(|cause| cause != Cause::Contradiction) {
+        let wrong = self.trust.cause().is_some_and(|cause| cause != Cause::Contradiction);
+        if wrong || self.climber.may_be_stuck() {
             // Image poses are as wrong as the encoders that they are computed with. A contradiction
             // may as well come from the time offset.
             search.clear();

@@ -8,7 +8,10 @@
 //! The sums of squares of the differences from the encoders' changes show whether other directions
 //! would explain them; the turn is compared by its change within a span.
 
-use crate::{ekf::propagation::ImuReading, timeline::history::History};
+use crate::{
+    ekf::propagation::ImuReading,
+    timeline::{dropout::GAP, history::History},
+};
 use nalgebra::{Matrix2, Matrix4, UnitQuaternion, Vector2, Vector3, Vector4};
 use rig_model::{Stamp, wrap_angle};
 use std::collections::VecDeque;
@@ -30,6 +33,9 @@ const LEAST: [f64; 2] = [0.005, 0.002];
 /// Time over which the rails must have been compared, s: within the first spans an error of the
 /// initial attitude resembles some direction.
 const COMPARED: f64 = 4.0;
+/// Process noise of specific force, (m/s²)² s, and of angular velocity, (rad/s)² s, from which on
+/// the IMU may have missed motion: a saturated or stuck axis, a shock.
+const MISSED: [f64; 2] = [1.0, 0.5];
 /// Changes of velocity that no climber makes in a span, m/s: readings that leap.
 const LEAPS: f64 = 1.0;
 
@@ -219,7 +225,7 @@ impl EncoderDirections {
 }
 
 impl InertialTrack {
-    /// Returns what follows at a later place; `None` where the time line does not lead there.
+    /// Returns what follows at a later place; `None` where the IMU samples do not lead there.
     fn to(mut self, history: &History, place: usize) -> Option<Self> {
         let first = history.place_of(self.stamp).checked_sub(1)?;
         if first >= place || history.get(first)?.stamp != self.stamp {
@@ -228,6 +234,9 @@ impl InertialTrack {
         for k in first..place {
             let (from, to) = (history.get(k)?, history.get(k + 1)?);
             let dt = to.stamp.seconds_since(from.stamp);
+            if dt > GAP || to.noise.force > MISSED[0] || to.noise.rate > MISSED[1] {
+                return None;
+            }
             // The biases would be estimated so that they explain what is wrong.
             let [force, rate] = [from, to].iter().fold([Vector3::zeros(); 2], |[f, r], e| {
                 let ImuReading { specific_force, angular_velocity } = &e.reading;

@@ -253,7 +253,7 @@ mod tests {
         trust.suspend(at(2000), Cause::Contradiction, false);
         assert_eq!(trust.judge(at(2100), 1e6, &off, STRANGE, 3.0), Verdict::Exclude);
         assert_eq!(trust.disagreement(), Some(off));
-        trust.suspended = Some((at(100), Cause::Stuck));
+        assert_eq!(trust.judge(at(2200), 1e6, &off, STUCK, 30.0), Verdict::Exclude);
         assert_eq!(trust.disagreement(), None);
         // A climber that stands is adopted, one that moves has stuck encoders.
         let mut stopped = EncoderTrust::default();

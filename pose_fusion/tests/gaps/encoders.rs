@@ -175,6 +175,7 @@ fn encoders_in_wrong_directions_are_named_and_the_pose_is_lost() {
                 text.contains(named) || (!named.contains("turn") && text.contains(unclear))
             };
             assert!(found.is_some_and(names), "{about}");
+            assert!(names(&outputs.status.last().unwrap().reason), "{about}");
             let reported = outputs.status.iter().position(|status| names(&status.reason)).unwrap();
             let after = outputs.status[reported].stamp.seconds_since(run.start());
             assert!(after < 12.0, "{about}: after {after:.1} s");
