@@ -51,6 +51,10 @@ pub(crate) struct EdgeFit {
     /// inside and beyond it moves the edge, px: 0 unless the light changes within the band. Where
     /// the signal of the surroundings is small, dark or bright things there move little.
     pub shade: f64,
+    /// Mean light beyond the band, in units of that inside.
+    pub light_outside: f64,
+    /// Whether a thing beside the marker may have moved the edge: the others and the shape count.
+    pub moved: bool,
     /// Σ rᵢ² and Σ rᵢ·rᵢ₊₁ of the rows' residuals, px².
     pub lag: [f64; LAGS],
 }

@@ -120,6 +120,8 @@ fn attempt(
         return Some(Attempt { edge: None, step });
     };
     (edge.blur, edge.outside, edge.shade) = (crossings.blur, outside.level, crossings.shade);
+    edge.light_outside = f64::from(rows.light_outside[..count].iter().sum::<f32>())
+        / (count as f64 * interior.light);
     // The outside level's error moves the whole edge, by the outer share of the band; that of its
     // tilt turns the edge.
     let outer = 0.5 * f64::from(plan.band) * plan.steep;
@@ -181,7 +183,7 @@ impl Crossings {
         let (mut good, mut blur) = ([0.0f32; MAX_ROWS], f32x8::ZERO);
         let mut all = f32x8::ZERO;
         let light_inside = f32x8::splat((interior.light as f32).max(1e-3));
-        let inner_pixels = f32x8::splat(plan.inner_pixels() as f32);
+        let inner_pixels = f32x8::splat(plan.inner_pixels());
         let weights = weights.map(|weight| f32x8::splat(weight as f32));
         let mut shades: Column = [0.0; MAX_ROWS];
         for group in (0..count).step_by(8) {

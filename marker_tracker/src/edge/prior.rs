@@ -65,7 +65,7 @@ pub(crate) struct Levels {
 impl Levels {
     /// Change of the level beside an edge, in units of the contrast, from which on something else
     /// lies there. Tuned on scenes with poles and hands before the markers.
-    const FOREIGN: f64 = 0.15;
+    pub const FOREIGN: f64 = 0.15;
     /// Standard deviation, px, of such an edge's place in addition to its rows': the edge may be
     /// that thing's, or a gap too narrow to be resolved (uniform over 1 px: 0.29).
     pub const FOREIGN_SIGMA: f64 = 0.3;

@@ -176,8 +176,8 @@ impl RowPlan {
     }
 
     /// Pixels of the band that lie inside of the predicted edge, to half a pixel.
-    pub fn inner_pixels(&self) -> i32 {
-        if self.outward { self.band / 2 } else { self.band - self.band / 2 }
+    pub fn inner_pixels(&self) -> f32 {
+        self.band as f32 / 2.0
     }
 
     /// Pixels before the band.

@@ -196,6 +196,7 @@ impl Rows {
         let (before, after) = if outward { (0, beyond) } else { (beyond, 0) };
         let rim_at = if outward { band - 1 } else { 0 };
         let second_half = band / 2;
+        let shared = f32x8::splat(if band % 2 == 1 { 0.5 } else { 0.0 });
         let (scale, share) = (sampler.scale, sampler.scale / beyond as f32);
         for group in (0..self.count).step_by(8) {
             let mut begin = [0; 8];
@@ -214,9 +215,13 @@ impl Rows {
             for i in 0..band {
                 let (signals, lights) = next(sampler, &begin, &mut along, hop);
                 if i == second_half {
-                    light_before = std::mem::take(&mut light);
+                    // The middle pixel of an odd number belongs to both halves.
+                    let before = lights * shared;
+                    light_before = light + before;
+                    light = lights - before;
+                } else {
+                    light += lights;
                 }
-                light += lights;
                 if i == rim_at {
                     rim = signals;
                 }
@@ -300,15 +305,16 @@ impl Rows {
         let at = |along: i32| begin + (along - first) as u32 * plan.hop;
         let (mut s, mut sj, mut ss) = (0f32, 0f32, 0f32);
         let (mut light_inner, mut light_outer) = (0f32, 0f32);
-        let inner = plan.inner_pixels().min(band);
-        let inner = if plan.outward { 0..inner } else { band - inner..band };
         for (j, pixel) in (from..=to).map(at).enumerate() {
             let value = sampler.one(pixel);
             s += value;
             sj += value * j as f32;
             ss += value * value;
-            let is_inner = inner.contains(&(j as i32));
-            *(if is_inner { &mut light_inner } else { &mut light_outer }) += sampler.light(pixel);
+            let from_inner_end = if plan.outward { j as i32 } else { band - 1 - j as i32 };
+            let inner = (plan.inner_pixels() - from_inner_end as f32).clamp(0.0, 1.0);
+            let light = sampler.light(pixel);
+            light_inner += inner * light;
+            light_outer += (1.0 - inner) * light;
         }
         let (mut outside, mut light_outside) = (0f32, 0f32);
         let outer = if plan.outward { to + 1 } else { first };

@@ -123,7 +123,7 @@ fn measured(sides: &[Side; 4], edges: &Edges, prior: &ShapePrior) -> Option<Esti
     let (mut offsets, mut slopes) = ([0.0; 4], [0.0; 4]);
     let (mut normal, mut right) = (Matrix2::zeros(), Vector2::zeros());
     for i in 0..4 {
-        let e = edges[i].as_ref().filter(|e| e.support > 0.7 && !e.foreign)?;
+        let e = edges[i].as_ref().filter(|e| e.support > 0.7 && !e.foreign && !e.moved)?;
         let n = sides[i].normal;
         normal += n * n.transpose();
         right += n * (e.offset - prior.edge_bias[i % 2]);

@@ -2,7 +2,10 @@
 
 use crate::{
     edge::{EdgeFit, Interior, Light, MAX_ROWS, Rows, SHADE, ShapePrior, Side, fit_edge},
-    outline::combine::{Estimate, combine},
+    outline::{
+        beside,
+        combine::{Estimate, combine},
+    },
     quad::Quad,
     signal::Sampler,
 };
@@ -46,6 +49,11 @@ pub(crate) fn fit(sampler: &Sampler<'_>, predicted: &Quad, prior: &ShapePrior) -
         && !sampler.saturated
     {
         levels.mark_foreign(&mut edges, interior.level);
+    }
+    match prior.light {
+        Light::Even => beside::widen(&mut edges),
+        Light::ByPixel => beside::mark_moved(&mut edges, interior.level, half_width),
+        Light::ByRow { .. } => {}
     }
     let (estimate, edges) = combine(&sides, edges, prior)?;
     let mut fit = finish(predicted, center, &sides, edges, &estimate, &interior, prior);

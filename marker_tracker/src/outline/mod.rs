@@ -7,6 +7,7 @@
 //! the line fitted by least squares encloses the same area, and so the same centroid to first
 //! order.
 
+mod beside;
 mod combine;
 mod fit;
 
