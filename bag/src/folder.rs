@@ -33,9 +33,10 @@ pub fn files_named_by(metadata: &str) -> Result<Vec<String>, String> {
 /// where none has one, all MCAP files.
 ///
 /// # Errors
-/// The folder is unreadable, has no such file, or is of another storage or compression.
+/// There is no such path; a folder is unreadable, has no such file, or is of another storage or
+/// compression.
 pub fn files_to_recover(path: &Path) -> Result<(Vec<PathBuf>, Vec<String>), BagError> {
-    if !path.is_dir() {
+    if !fs::metadata(path).map_err(|source| io_error(path, source))?.is_dir() {
         return Ok((vec![path.to_owned()], vec![]));
     }
     let text = metadata_text(&path.join("metadata.yaml")).ok();
@@ -117,12 +118,17 @@ fn files_of_recording(found: Vec<PathBuf>, named: Vec<PathBuf>) -> (Vec<PathBuf>
     (files, notes)
 }
 
+/// Whether a bag of this name is a lone file (`.mcap`, in capitals too) and not a folder.
+pub fn is_mcap_file(path: &Path) -> bool {
+    path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("mcap"))
+}
+
 /// Endings of the names of MCAP files.
 const ENDINGS: [&str; 3] = [".mcap", ".mcap.zstd", ".mcap.zst"];
 
 fn is_mcap(file: &Path) -> bool {
     let name = file.to_string_lossy();
-    ENDINGS.into_iter().any(|ending| name.ends_with(ending))
+    is_mcap_file(file) || ENDINGS.into_iter().any(|ending| name.ends_with(ending))
 }
 
 /// Path of a file before its compression: `run_3.mcap.zstd` → `run_3.mcap`.
@@ -162,7 +168,7 @@ pub(crate) fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
     let text = match metadata_text(&yaml) {
         Ok(text) => text,
         Err(e) if e.kind() == ErrorKind::NotFound => {
-            return Err(broken("is missing, so this folder is not a rosbag2 bag".into()));
+            return Err(without_metadata(path));
         }
         Err(error) => return Err(BagError::Io { path: yaml.clone(), error }),
     };
@@ -176,6 +182,24 @@ pub(crate) fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
         return Err(broken(format!("names {}, which is not there", missing.display())));
     }
     Ok(files)
+}
+
+/// The error of a folder without `metadata.yaml`.
+fn without_metadata(path: &Path) -> BagError {
+    let mut entries = fs::read_dir(path).into_iter().flatten().flatten();
+    let remedy = if entries.any(|entry| is_mcap(&entry.path())) {
+        "here is only the latter, as after a recorder was killed; `volant bag recover` writes a \
+         complete bag from it"
+    } else {
+        "here is neither; give the folder of a recording, or an .mcap file"
+    };
+    BagError::unusable(
+        path,
+        format!(
+            "this folder is not a rosbag2 bag, which holds metadata.yaml and the .mcap files that \
+             it names; {remedy}"
+        ),
+    )
 }
 
 fn metadata_text(path: &Path) -> io::Result<String> {

@@ -17,7 +17,7 @@ mod summary;
 mod write;
 
 pub use file_writer::Compression;
-pub use folder::{files_named_by, files_to_recover};
+pub use folder::{files_named_by, files_to_recover, is_mcap_file};
 pub use node_kit::qos::Qos;
 pub use qos::{qos_from_yaml, qos_to_yaml};
 pub use read::{BagReader, BagSummary};

@@ -3,7 +3,7 @@
 use super::{
     BagError, BagMessage, Topic,
     file_reader::{FileReader, file_size},
-    folder::files_of,
+    folder::{files_of, is_mcap_file},
     metadata::join,
     summary,
 };
@@ -27,6 +27,9 @@ pub struct BagSummary {
     /// Whether each file ends with MCAP's footer, which rosbag2 requires, and none is damaged, as
     /// far as it was read.
     pub complete: bool,
+    /// Descriptions of what is lost of the files that were read completely because their closing
+    /// records are missing, one sentence each, as [`BagReader::losses`].
+    pub losses: Vec<String>,
 }
 
 impl BagSummary {
@@ -151,9 +154,10 @@ impl BagReader {
                     }
                 }
                 // The end of a compressed file is not accessible without reading it all.
-                let compressed = file.extension().is_some_and(|e| e != "mcap");
+                let compressed = file.extension().is_some() && !is_mcap_file(file);
                 let ends = compressed || summary::has_footer(file);
                 summary.complete &= ends && reader.losses.is_empty();
+                summary.losses.append(&mut reader.losses);
             }
         }
         summary.files = files;

@@ -60,7 +60,7 @@ pub(crate) fn summary_of(file: &mut (impl Read + Seek), size: u64) -> Option<Bag
     let topics =
         listed.values().map(|channel| (channels.topic_of(channel), count(channel.id))).collect();
     let span = (messages > 0).then_some((start, end));
-    Some(BagSummary { topics, span, bytes: size, files: vec![], complete: true })
+    Some(BagSummary { topics, span, bytes: size, complete: true, ..BagSummary::default() })
 }
 
 /// Reads the schemas and channels that the closing records of an input of `size` bytes repeat; none

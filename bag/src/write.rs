@@ -5,6 +5,7 @@ use super::{
     BagError, BagSummary, Topic,
     file_reader::file_size,
     file_writer::{Compression, FileWriter},
+    folder::is_mcap_file,
     metadata::{self, FileContents, join},
     qos_from_yaml,
 };
@@ -91,19 +92,29 @@ struct WrittenTopic {
 type Latched = Vec<(u64, Vec<u8>)>;
 
 impl BagWriter {
+    /// Checks whether a bag may be written before the work for it starts; `inputs` as those of
+    /// [`files::check_output`].
+    ///
+    /// # Errors
+    /// [`BagError::Unusable`] where a file exists whose name does not end with `.mcap`, since such
+    /// a bag is a folder; the errors of [`files::check_output`].
+    pub fn check(path: &Path, replace: bool, inputs: &[&Path]) -> Result<(), BagError> {
+        // A file, or a device, which are no place for a folder.
+        if !is_mcap_file(path) && fs::symlink_metadata(path).is_ok() && !path.is_dir() {
+            let reason = "exists already and is a file, but a bag whose name does not end with \
+                          .mcap is a new folder; give another name, or one that ends with .mcap";
+            return Err(BagError::unusable(path, reason));
+        }
+        Ok(files::check_output(path, replace, inputs)?)
+    }
+
     /// Creates a bag: a lone file where the name ends with `.mcap`, else a folder.
     ///
     /// # Errors
     /// The path exists already, or is not writable.
     pub fn create(path: &Path, options: WriteOptions) -> Result<Self, BagError> {
-        let lone = path.extension().is_some_and(|e| e == "mcap");
-        // A file, or a device, which are no place for a folder.
-        if !lone && fs::symlink_metadata(path).is_ok() && !path.is_dir() {
-            let reason = "exists already and is a file, but a bag whose name does not end with \
-                          .mcap is a new folder; give another name, or one that ends with .mcap";
-            return Err(BagError::unusable(path, reason));
-        }
-        files::check_output(path, options.replace, &[])?;
+        let lone = is_mcap_file(path);
+        Self::check(path, options.replace, &[])?;
         let mut bag = Self {
             path: path.to_owned(),
             folder: None,
@@ -253,7 +264,7 @@ impl BagWriter {
         let span = self.files.iter().map(|f| f.span).fold(None, join);
         let counted = self.counted(&self.files);
         let topics = counted.map(|(topic, count)| (topic.clone(), count)).collect();
-        Ok(BagSummary { topics, span, bytes, files, complete: true })
+        Ok(BagSummary { topics, span, bytes, files, complete: true, losses: vec![] })
     }
 
     /// The topics with their number of messages in some files.

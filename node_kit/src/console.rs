@@ -41,7 +41,7 @@ Exit status:
   141  the reader of standard output has gone
   143  ended by SIGTERM; existing files are unchanged
 Nodes, record, play, monitor, foxglove and imu log run until one of these signals (play: or the end
-of the bag) and end with 0.";
+of the bag) and end with 0. `calibrate climber --live` uses what it recorded until then.";
 
 /// Exit status of a program whose reader has gone: what a shell reports for SIGPIPE (128 + 13).
 const READER_GONE: u8 = 141;

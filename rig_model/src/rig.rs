@@ -138,7 +138,7 @@ impl Rig {
             ]),
         };
         rig.check_markers()?;
-        rig.check_colors()?;
+        check_colors(&rig.colors)?;
         rig.check_frames()?;
         Ok(rig)
     }
@@ -172,34 +172,6 @@ impl Rig {
         Ok(())
     }
 
-    fn check_colors(&self) -> Result<(), RigError> {
-        // Direction of the hue in the plane normal to the gray axis, relative to the brightness.
-        let chroma = |[r, g, b]: [f64; 3]| {
-            let v = Vector2::new(2.0 * r - g - b, 3f64.sqrt() * (g - b));
-            v / (2.0 * r.max(g).max(b).max(1.0))
-        };
-        for (i, a) in MarkerColor::ALL.into_iter().enumerate() {
-            let Some(rgb) = self.colors[a] else { continue };
-            let key = format!("markers.colors.{a}");
-            let own = chroma(rgb);
-            if own.norm() < 0.15 {
-                let requirement = "a color with a hue: gray does not identify a marker";
-                return Err(RigError::value(&key, format!("{rgb:?}"), requirement));
-            }
-            for b in &MarkerColor::ALL[..i] {
-                let Some(other) = self.colors[*b].map(chroma) else { continue };
-                if own.angle(&other) < 15f64.to_radians() {
-                    return Err(RigError::value(
-                        &key,
-                        format!("{rgb:?} (nearly the hue of markers.colors.{b})"),
-                        "the hues differ by at least 15 degrees",
-                    ));
-                }
-            }
-        }
-        Ok(())
-    }
-
     fn check_frames(&self) -> Result<(), RigError> {
         let f = &self.frames;
         let names = [&f.world, &f.climber, &f.camera, &f.imu, &f.volant];
@@ -223,6 +195,38 @@ impl RigError {
     fn value(key: &str, value: impl fmt::Display, requirement: &str) -> Self {
         Self(format!("the key `{key}` is {value}; valid: {requirement}"))
     }
+}
+
+/// Checks that colors tell the markers apart: each has a hue, different from the others'.
+///
+/// # Errors
+/// [`RigError`] with the key of a color that does not.
+pub fn check_colors(colors: &PerColor<Option<[f64; 3]>>) -> Result<(), RigError> {
+    // Direction of the hue in the plane normal to the gray axis, relative to the brightness.
+    let chroma = |[r, g, b]: [f64; 3]| {
+        let v = Vector2::new(2.0 * r - g - b, 3f64.sqrt() * (g - b));
+        v / (2.0 * r.max(g).max(b).max(1.0))
+    };
+    for (i, a) in MarkerColor::ALL.into_iter().enumerate() {
+        let Some(rgb) = colors[a] else { continue };
+        let key = format!("markers.colors.{a}");
+        let own = chroma(rgb);
+        if own.norm() < 0.15 {
+            let requirement = "a color with a hue: gray does not identify a marker";
+            return Err(RigError::value(&key, format!("{rgb:?}"), requirement));
+        }
+        for b in &MarkerColor::ALL[..i] {
+            let Some(other) = colors[*b].map(chroma) else { continue };
+            if own.angle(&other) < 15f64.to_radians() {
+                return Err(RigError::value(
+                    &key,
+                    format!("{rgb:?} (nearly the hue of markers.colors.{b})"),
+                    "the hues differ by at least 15 degrees",
+                ));
+            }
+        }
+    }
+    Ok(())
 }
 
 /// Whether a parameter is one that every node has beside the rig: a block for all nodes may set it.

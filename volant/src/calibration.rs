@@ -1,6 +1,8 @@
 //! Reads a bag into the samples of the batch estimators, refines a rig with them, and checks it.
 
-use crate::replay::{Cores, Fed, Feed, FrontEnd, ImageTopic, Roles, TopicNames, decoding_threads};
+use crate::replay::{
+    Cores, Fed, Feed, FrontEnd, ImageTopic, Roles, TopicNames, decoding_threads, summarize,
+};
 use anyhow::{Context, Result, anyhow, bail};
 use bag::BagReader;
 use climber_driver::Climber;
@@ -35,7 +37,7 @@ pub fn read_markers(
 /// Reads a bag; with `motion`, also what IMU and encoders measured. `losses`: see [`read_markers`].
 fn read(path: &Path, cores: &Cores, motion: bool, losses: &mut Vec<String>) -> Result<Samples> {
     let shown = path.display();
-    let summary = BagReader::summary(path)?;
+    let summary = summarize(path, losses)?;
     let choose = |alternatives: &[_]| {
         cores.names.choose(&summary, alternatives).with_context(|| shown.to_string())
     };

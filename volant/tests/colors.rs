@@ -95,4 +95,36 @@ fn missing_colors_are_named_in_one_line_and_a_pick_finds_them() {
         assert_eq!(ran.status, Some(2), "{pick}");
     }
     place.fails("calibrate colors no_such_file.png", &["no_such_file.png"]);
+    // Neither a file nor a topic.
+    for source in ["nominl/in.mcap", "bad topic"] {
+        let mut command = place.command("calibrate colors");
+        let ran: Ran = command.arg(source).output().unwrap().into();
+        ran.failed_with(&[source, "there is no such file, and it is no topic", "correct"]);
+    }
+}
+
+#[test]
+fn what_is_no_marker_is_named_with_the_remedy() {
+    let place = Place::with_rig(RIG);
+    write_image(&place.path("papers.png"), PAPERS.map(Some));
+    // Gray between the squares.
+    let printed = place.failed("calibrate colors papers.png --pick red=100,100");
+    for word in ["papers.png: not the markers' colors", "--pick", "`markers.colors.red`", "gray"] {
+        assert!(printed.contains(word), "{printed}");
+    }
+    // The largest red patch is another one from image to image.
+    let mut bag = BagWriter::create(&place.path("in.mcap"), WriteOptions::default()).unwrap();
+    for (stamp, red) in [(1, PAPERS[0]), (2, [130, 60, 60]), (3, [220, 60, 90])] {
+        write_image(
+            &place.path("image.png"),
+            [Some(red), Some(PAPERS[1]), Some(PAPERS[2]), Some(PAPERS[3])],
+        );
+        let data = place.read("image.png");
+        let image = CompressedImage { format: "png".into(), data, ..CompressedImage::default() };
+        put(&mut bag, topics::absolute::COMPRESSED_IMAGE, &Qos::SENSOR, stamp, &image);
+    }
+    bag.finish().unwrap();
+    let printed = place.done("calibrate colors in.mcap");
+    assert!(printed.contains("red: not one color"), "{printed}");
+    assert!(printed.contains("--rig") && !printed.contains("green: not one"), "{printed}");
 }

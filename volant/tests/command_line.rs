@@ -127,7 +127,13 @@ fn bags_that_cannot_be_replayed() {
     replay_fails(&place, "gone.mcap", &["gone.mcap", "no such file", "give an .mcap"]);
     replay_fails(&place, "empty.mcap", &["empty.mcap", "empty"]);
     replay_fails(&place, "foreign.mcap", &["foreign.mcap", "not an MCAP file"]);
-    replay_fails(&place, "folder", &["metadata.yaml", "missing"]);
+    replay_fails(
+        &place,
+        "folder",
+        &["folder: ", "holds metadata.yaml and the .mcap files", "neither"],
+    );
+    place.write("folder/run_0.mcap", b"");
+    replay_fails(&place, "folder", &["holds metadata.yaml", "only the latter", "bag recover"]);
     for (topic, name) in [
         ("compressed", "/climber/camera/image_raw/compressed (sensor_msgs/msg/CompressedImage)"),
         ("camera_info", "/climber/camera/camera_info (sensor_msgs/msg/CameraInfo)"),
@@ -168,11 +174,18 @@ fn bags_that_cannot_be_replayed() {
 fn a_rig_file_that_is_wrong_is_named_with_its_key() {
     let place = with_bag();
     assert!(RIG.contains("size:"));
-    // A warning names what may be meant for other nodes.
+    // One line names the missing key and its misspelling.
     place.write("rig.yaml", RIG.replace("size:", "sise:"));
-    let error = place.failed(REPLAY);
-    for word in ["`markers.sise`", "did you mean `markers.size`", "`markers.size` is missing"] {
-        assert!(error.contains(word), "{error}");
+    place.fails(REPLAY, &["`markers.size` is missing", "`markers.sise`", "did you mean"]);
+    place.write("rig.yaml", format!("{RIG}\n/pose_fusoin: {{ros__parameters: {{x: 1}}}}\n"));
+    for command in [
+        REPLAY,
+        "markers --rig rig.yaml --out markers.pdf",
+        "calibrate colors in.mcap --rig rig.yaml",
+        "calibrate imu in.mcap --rig rig.yaml",
+        "calibrate climber in.mcap --rig rig.yaml",
+    ] {
+        place.fails(command, &["rig.yaml", "`/pose_fusoin` matches no node (did you mean"]);
     }
     for (text, words) in [
         (RIG.replace("size:", "size: [1, 2] #"), ["markers.size", "rig.yaml"]),
@@ -277,6 +290,28 @@ fn a_damaged_bag_is_recovered() {
         "cut.mcap",
         &["no readable message, because it is cut off", "record it again"],
     );
+    for command in [
+        "evaluate cut.mcap --truth in.mcap",
+        "evaluate in.mcap --truth cut.mcap",
+        "check cut.mcap --rig rig.yaml",
+        "play cut.mcap",
+        "calibrate colors cut.mcap",
+        "calibrate climber cut.mcap --rig rig.yaml",
+        "calibrate imu cut.mcap --rig rig.yaml",
+        "calibrate rig cut.mcap --rig rig.yaml",
+    ] {
+        place.fails(command, &["cut.mcap: ", "because it is cut off", "record it again"]);
+    }
+    assert!(place.done("bag info cut.mcap").contains("record it again"));
+    // What is missing may have been behind the cut.
+    place.write("cut.mcap", &bytes[..bytes.len() * 3 / 10]);
+    for command in ["imu", "climber"] {
+        let words = ["no ", "; cut.mcap: the file is cut off"];
+        place.fails(&format!("calibrate {command} cut.mcap --rig rig.yaml"), &words);
+    }
+    // Nothing is written where an input is missing.
+    place.fails("bag recover gone.mcap in.mcap --out nothing.mcap", &["gone.mcap: no such file"]);
+    assert!(!place.path("nothing.mcap").exists());
     let printed = place.done("bag info recovered.mcap");
     assert!(
         printed.contains(topics::absolute::IMU) && printed.contains("messages  4"),
@@ -322,6 +357,23 @@ fn an_input_is_no_output_and_two_outputs_have_two_names() {
     }
     place.fails("check in.mcap --rig rig.yaml --json none/x.json", &["x.json", "folder"]);
     assert!(!place.path("new.svg").exists());
+}
+
+#[test]
+fn the_name_of_a_bag_says_whether_it_is_a_file() {
+    let place = with_bag();
+    place.write("notes.txt", b"mine");
+    for command in [&REPLAY.replace("out.mcap", "notes.txt"), "bag recover in.mcap --out notes.txt"]
+    {
+        place.fails(command, &["notes.txt: ", "does not end with .mcap", "give another name"]);
+        assert!(!place.failed(command).contains("--overwrite"));
+    }
+    place.done("bag recover in.mcap --out OUT.MCAP");
+    assert!(place.path("OUT.MCAP").is_file());
+    let again = "bag recover in.mcap --out OUT.MCAP";
+    place.fails(again, &["OUT.MCAP: exists already", "--overwrite"]);
+    place.write("CUT.MCAP", &place.read("in.mcap")[..1000]);
+    assert!(place.done("bag info CUT.MCAP").contains("cut off"));
 }
 
 #[test]

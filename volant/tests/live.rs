@@ -247,6 +247,36 @@ fn play_and_record_reject_wrong_arguments() {
 }
 
 #[test]
+fn a_topic_of_another_type_is_no_target_of_a_remap() {
+    let dir = TempDir::new().unwrap();
+    let path = dir.path().join("original.mcap");
+    bag(&path);
+    let play = |words: &str| {
+        let words = format!("play {} --delay 5 -m {words}", path.display());
+        let output = live(79, &words).output().unwrap();
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    let (code, printed) = play("/image/compressed:=/volant/imu/data");
+    assert_eq!(code, Some(1), "{printed}");
+    assert!(printed.contains("/volant/imu/data: the topic has the type sensor_msgs"), "{printed}");
+    let _player = start(79, &format!("play {} --loop --topics /volant/imu/data", path.display()));
+    let (code, printed) = play("/unknown:=/thing --topics /unknown");
+    assert_eq!(code, Some(0), "{printed}");
+    let (code, printed) = play("/unknown:=/volant/imu/data --topics /unknown");
+    assert_eq!(code, Some(1), "{printed}");
+    assert!(printed.contains("/volant/imu/data: the topic has the type sensor_msgs"), "{printed}");
+}
+
+#[test]
+fn an_interrupted_color_calibration_ends_with_the_shells_status() {
+    let calibration = start(79, "calibrate colors /image/compressed --duration 60");
+    std::thread::sleep(Duration::from_secs(2));
+    calibration.signal("INT");
+    let (status, lines) = calibration.finish(Duration::from_secs(10));
+    assert_eq!(status.code(), Some(130), "{lines:?}");
+}
+
+#[test]
 fn a_paused_player_waits_for_sigusr1() {
     let dir = TempDir::new().unwrap();
     let (original, copy) = (dir.path().join("original.mcap"), dir.path().join("copy.mcap"));

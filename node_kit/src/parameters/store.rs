@@ -59,9 +59,10 @@ impl ParameterStore {
     pub fn ignored(&self) -> impl Iterator<Item = String> {
         self.ignored.iter().map(|(name, origin)| {
             let hint = self.hint(name);
+            let what = if hint.is_empty() { "it is ignored" } else { "correct its spelling" };
             format!(
                 "{origin}: `{name}` is given for all nodes, and none here has such a \
-                 parameter{hint}; it is ignored"
+                 parameter{hint}; {what}"
             )
         })
     }

@@ -9,7 +9,10 @@ mod report;
 pub use page::page;
 pub use report::{csv, table};
 
-use crate::{replay::TopicNames, report::Track};
+use crate::{
+    replay::{TopicNames, summarize},
+    report::Track,
+};
 use anyhow::bail;
 use bag::{BagReader, recording::read_truth};
 use nalgebra::{Isometry3, Matrix6, Vector3};
@@ -123,13 +126,17 @@ struct Estimate {
 /// A bag is unreadable, has no truth or no estimate, or no estimate is within the truth's time.
 pub fn evaluate(options: &EvaluateOptions) -> anyhow::Result<Evaluation> {
     let mut losses = vec![];
+    for bag in [&options.truth, &options.estimates] {
+        summarize(bag, &mut vec![])?;
+    }
     let truth = read_truth(&options.truth, &options.names.resolve(TRUTH), &mut losses)?;
     let Some((from, to)) = truth.span() else {
         bail!(
             "{}: no usable nav_msgs/msg/Odometry on {}; give the bag with the truth to --truth, or \
-             name its topic with --remap {TRUTH}:=OTHER",
+             name its topic with --remap {TRUTH}:=OTHER{}",
             options.truth.display(),
-            options.names.resolve(TRUTH)
+            options.names.resolve(TRUTH),
+            also(&losses)
         );
     };
     let topics: Vec<String> = ESTIMATES.iter().map(|name| options.names.resolve(name)).collect();
@@ -159,9 +166,10 @@ pub fn evaluate(options: &EvaluateOptions) -> anyhow::Result<Evaluation> {
     losses.extend_from_slice(bag.losses());
     if collected.iter().all(|(estimates, unusable)| estimates.is_empty() && *unusable == 0) {
         bail!(
-            "{}: no estimate on {}; give the bag that `volant replay --out` wrote",
+            "{}: no estimate on {}; give the bag that `volant replay --out` wrote{}",
             options.estimates.display(),
-            topics.join(", ")
+            topics.join(", "),
+            also(&losses)
         );
     }
     // The bag's start in the time of the stamps: a played bag is recorded at another time.
@@ -195,6 +203,11 @@ pub fn evaluate(options: &EvaluateOptions) -> anyhow::Result<Evaluation> {
         );
     }
     Ok(Evaluation { estimates, losses, began, truth })
+}
+
+/// What the bags lost, for the end of an error.
+fn also(losses: &[String]) -> String {
+    losses.iter().map(|loss| format!("; {loss}")).collect()
 }
 
 fn quality(name: &str, estimates: &[Estimate], truth: &Truth, began: Stamp, skip: f64) -> Quality {

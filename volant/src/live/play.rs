@@ -1,12 +1,12 @@
 //! Plays a bag to live topics, at the pace of its log times.
 
 use super::{
-    raw::{Raw, RawAdapter},
+    raw::{Raw, RawAdapter, ros_type_name},
     thread_ended,
 };
 use crate::{
     command_line::{number, seconds},
-    replay::{Remap, TopicNames},
+    replay::{Remap, TopicNames, empty},
     stopwatch::Stopwatch,
 };
 use anyhow::{Result, anyhow};
@@ -15,7 +15,7 @@ use node_kit::node::{
     NodeContext, NodeHandle, Process, ros_topic, unlimited_policies, with_type_hash,
 };
 use rig_model::topics;
-use rustdds::{RTPSEntity, no_key::DataWriter};
+use rustdds::{DomainParticipant, RTPSEntity, no_key::DataWriter};
 use std::{
     collections::BTreeMap,
     convert::Infallible,
@@ -113,8 +113,8 @@ struct Writer {
 /// its span, ns. Topics that the bag lacks are left out.
 ///
 /// # Errors
-/// The bag is unreadable, holds nothing to play or lacks a remapped topic, or DDS creates no node
-/// or publisher.
+/// The bag is unreadable, holds nothing to play or lacks a remapped topic; a topic is remapped to
+/// one of another type; DDS creates no node or publisher.
 pub fn play(
     options: &PlayOptions,
     stop: &AtomicBool,
@@ -125,7 +125,7 @@ pub fn play(
     let names = TopicNames::new("", &options.remap);
     let nothing = |why: String| anyhow!("{}: nothing to play{why}", options.input.display());
     let Some((first, last)) = summary.span else {
-        return Err(nothing(": it holds no message; record it again, or give another one".into()));
+        return Err(nothing(empty(&summary).map_or_else(String::new, |why| format!(": {why}"))));
     };
     let offset = u64::try_from(options.start_offset.as_nanos()).unwrap_or(u64::MAX);
     let start = first.saturating_add(offset);
@@ -153,11 +153,19 @@ pub fn play(
     if chosen.is_empty() {
         return Err(nothing(format!(" on {}: they are empty", options.topics.join(", "))));
     }
+    let moved = chosen.iter().filter(|(name, topic)| **name != topic.name);
+    let moved: Vec<Topic> = moved.map(|(_, topic)| topic.clone()).collect();
+    for topic in &moved {
+        let mut there = chosen.values().filter(|other| other.name == topic.name);
+        if let Some(other) = there.find(|other| other.type_name != topic.type_name) {
+            return Err(two_types(topic, &other.type_name));
+        }
+    }
     let clock = options.clock.map(|hz| {
         let name = names.resolve(topics::absolute::CLOCK);
         (Topic::of::<Clock>(&name, &Qos::SENSOR), 1.0 / hz)
     });
-    let (_node, (writers, clock)) = start_player(move |node| {
+    let (_node, (writers, clock, participant)) = start_player(move |node| {
         let mut writers = BTreeMap::new();
         for (name, topic) in chosen {
             writers.insert(name, advertise(&topic, node)?);
@@ -166,7 +174,7 @@ pub fn play(
             Some((topic, period)) => Some((advertise(&topic, node)?, period)),
             None => None,
         };
-        Ok((writers, clock))
+        Ok((writers, clock, node.participant()))
     })?;
     let mut report = PlayReport::default();
     let mut pace = Pace {
@@ -182,6 +190,7 @@ pub fn play(
     };
     pace.hold(options.delay);
     'bag: loop {
+        check_types(&participant, &moved)?;
         let mut bag = BagReader::open(&options.input)?;
         let pass = Stopwatch::start();
         pace.leap(start);
@@ -212,6 +221,7 @@ pub fn play(
         // A bag whose messages have one time is not repeated as fast as possible.
         pace.hold(SLICE.saturating_sub(pass.elapsed()));
     }
+    check_types(&participant, &moved)?;
     // DDS repeats what reliable subscribers miss while this waits.
     let watch = Stopwatch::start();
     let in_time = || watch.elapsed() < if pace.is_stopped() { STOPPED_WAIT } else { LAST_WAIT };
@@ -220,6 +230,42 @@ pub fn play(
     }
     pace.hold(LINGER);
     Ok(report)
+}
+
+/// Checks the remapped topics against the publishers and subscribers discovered so far.
+///
+/// # Errors
+/// One of them has another type, so nobody would receive the messages.
+fn check_types(participant: &DomainParticipant, remapped: &[Topic]) -> Result<()> {
+    if remapped.is_empty() {
+        return Ok(());
+    }
+    let writers = participant.discovered_writers().into_iter().map(|writer| {
+        let data = writer.publication_topic_data;
+        (data.topic_name, data.type_name)
+    });
+    let readers = participant.discovered_readers().into_iter().map(|reader| {
+        let data = reader.subscription_topic_data;
+        (data.topic_name.clone(), data.type_name().clone())
+    });
+    for (name, type_name) in writers.chain(readers) {
+        let (name, type_name) = (name.strip_prefix("rt"), ros_type_name(&type_name));
+        let Some(type_name) = type_name else { continue };
+        let is_other = |t: &&Topic| name == Some(t.name.as_str()) && t.type_name != type_name;
+        if let Some(topic) = remapped.iter().find(is_other) {
+            return Err(two_types(topic, &type_name));
+        }
+    }
+    Ok(())
+}
+
+fn two_types(topic: &Topic, other: &str) -> anyhow::Error {
+    anyhow!(
+        "{}: the topic has the type {other}, and messages of {} are remapped to it; give another \
+         name to --remap",
+        topic.name,
+        topic.type_name
+    )
 }
 
 /// Starts a node with rosbag2's name, which owns in the graph what `publish` creates on it.

@@ -12,11 +12,12 @@ mod topic_names;
 pub use feed::{Fed, Feed, ImageTopic, decoding_threads};
 pub(crate) use front_end::{FrontEnd, Roles};
 pub use pipeline::Counts;
-pub use topic_names::{Remap, TopicNames};
+pub(crate) use topic_names::empty;
+pub use topic_names::{Remap, TopicNames, summarize};
 
 use crate::stopwatch::Stopwatch;
 use anyhow::{anyhow, bail};
-use bag::{BagReader, BagSummary, Compression, WriteOptions};
+use bag::{BagReader, BagSummary, BagWriter, Compression, WriteOptions};
 use climber_driver::{Climber, ClimberConfig};
 use marker_tracker::TrackerConfig;
 use output::OutputBag;
@@ -103,7 +104,7 @@ pub fn replay(
     let watch = Stopwatch::start();
     let ReplayOptions { input, output, cores, .. } = options;
     let Cores { rig, names, .. } = cores;
-    node_kit::files::check_output(output, options.overwrite, &[input])?;
+    BagWriter::check(output, options.overwrite, &[input])?;
     let summary = BagReader::summary(input)?;
     let roles = roles(input, &summary, names)?;
     let climber = roles.joints.as_ref().map(|topic| {

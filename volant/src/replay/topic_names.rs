@@ -1,10 +1,10 @@
 //! Names of topics after namespace and remapping.
 
 use anyhow::bail;
-use bag::BagSummary;
+use bag::{BagReader, BagSummary};
 use node_kit::NodeName;
 use rig_model::topics;
-use std::{collections::BTreeMap, fmt, str::FromStr};
+use std::{collections::BTreeMap, fmt, path::Path, str::FromStr};
 
 /// A namespace and remapping rules.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -125,9 +125,8 @@ impl TopicNames {
         bag: &BagSummary,
         wanted: &[(&'static str, &'static str)],
     ) -> String {
-        if bag.messages() == 0 {
-            let why = if bag.complete { "" } else { ", because it is cut off or damaged" };
-            return format!("the bag holds no readable message{why}; record it again");
+        if let Some(reason) = empty(bag) {
+            return reason;
         }
         let namespaces = wanted.iter().flat_map(|(name, kind)| {
             let suffix = format!("/{name}");
@@ -161,6 +160,26 @@ impl TopicNames {
             format!("/{}/{name}", self.namespace)
         }
     }
+}
+
+/// What is wrong with a bag without a readable message, and the remedy; `None` for another bag.
+pub fn empty(bag: &BagSummary) -> Option<String> {
+    let why = if bag.complete { "" } else { ", because it is cut off or damaged" };
+    (bag.messages() == 0)
+        .then(|| format!("the bag holds no readable message{why}; record it again"))
+}
+
+/// Summarizes a bag that holds a message; what it lost is appended to `losses`.
+///
+/// # Errors
+/// An unreadable bag, or one without a readable message.
+pub fn summarize(path: &Path, losses: &mut Vec<String>) -> anyhow::Result<BagSummary> {
+    let summary = BagReader::summary(path)?;
+    if let Some(reason) = empty(&summary) {
+        bail!("{}: {reason}", path.display());
+    }
+    losses.extend_from_slice(&summary.losses);
+    Ok(summary)
 }
 
 #[cfg(test)]

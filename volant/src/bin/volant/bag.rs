@@ -63,7 +63,11 @@ fn info(path: &Path) -> anyhow::Result<()> {
     }
     outln!("messages  {}", bag.messages())?;
     if !bag.complete {
-        outln!("state     cut off or damaged; `volant bag recover` repairs it")?;
+        let remedy = match bag.messages() {
+            0 => "no message is readable, so record it again",
+            _ => "`volant bag recover` repairs it",
+        };
+        outln!("state     cut off or damaged; {remedy}")?;
     }
     let duration = bag.span.map_or(0.0, |(a, b)| (b - a) as f64 * 1e-9);
     let name = bag.topics.iter().map(|(t, _)| t.name.len()).max().unwrap_or(0);
@@ -81,16 +85,12 @@ fn info(path: &Path) -> anyhow::Result<()> {
 
 fn recover(paths: &[PathBuf], out: &Path, options: WriteOptions) -> anyhow::Result<()> {
     let inputs: Vec<&Path> = paths.iter().map(PathBuf::as_path).collect();
-    node_kit::files::check_output(out, options.replace, &inputs)?;
+    BagWriter::check(out, options.replace, &inputs)?;
     let (mut files, mut losses) = (vec![], vec![]);
     for path in paths {
-        match files_to_recover(path) {
-            Ok((found, notes)) => {
-                files.extend(found);
-                losses.extend(notes);
-            }
-            Err(error) => losses.push(error.to_string()),
-        }
+        let (found, notes) = files_to_recover(path)?;
+        files.extend(found);
+        losses.extend(notes);
     }
     let mut writer = BagWriter::create(out, options)?;
     let mut topics = HashMap::new();

@@ -1,7 +1,7 @@
 //! `volant record`.
 
 use crate::terminal;
-use bag::{Compression, WriteOptions};
+use bag::{Compression, WriteOptions, is_mcap_file};
 use clap::ArgGroup;
 use node_kit::outln;
 use std::{
@@ -64,7 +64,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         (out, _) => out.clone().unwrap_or_default(),
     };
     let is_split = arguments.split_size.is_some() || arguments.split_duration.is_some();
-    if is_split && output.extension().is_some_and(|ending| ending == "mcap") {
+    if is_split && is_mcap_file(&output) {
         let text = format!(
             "{}: a recording with --split-size or --split-duration is a folder; name it without \
              .mcap",

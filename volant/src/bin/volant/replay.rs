@@ -5,8 +5,8 @@ use crate::{
     terminal,
 };
 use anyhow::Context;
-use bag::{BagReader, Compression};
-use node_kit::{files, out, outln};
+use bag::{BagReader, BagWriter, Compression};
+use node_kit::{out, outln};
 use pose_fusion::Model;
 use std::path::{Path, PathBuf};
 use volant::{
@@ -63,7 +63,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let more = &arguments.params_file;
     let inputs: Vec<&Path> =
         [&arguments.input, &arguments.rig].into_iter().chain(more).map(PathBuf::as_path).collect();
-    files::check_output(&arguments.out, arguments.overwrite, &inputs)?;
+    BagWriter::check(&arguments.out, arguments.overwrite, &inputs)?;
     let mut cores = settings::read(&arguments.rig, more, &arguments.topics)?;
     let model = match arguments.model {
         Some(ModelName::Tight) => Model::Tight,

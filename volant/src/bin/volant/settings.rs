@@ -70,8 +70,10 @@ pub fn read(path: &Path, more: &[PathBuf], topics: &BagTopics) -> anyhow::Result
     let climber = ClimberParameters::from_map(files.store::<ClimberNode>()?.values());
     files.of::<ImuNode>()?;
     // The same for each node: of the others' parameters none is reported.
-    files.store::<FusionNode>()?.ignored().for_each(terminal::warn);
-    let rig = Rig::from_parameters(&values).with_context(|| files.names())?;
+    let ignored: Vec<String> = files.store::<FusionNode>()?.ignored().collect();
+    // Where a key is missing, one of those may be its misspelling.
+    let rig = Rig::from_parameters(&values).with_context(|| files.names());
+    let rig = terminal::with_losses(rig, &ignored)?;
     let climber = match climber {
         Err(error) if !matches!(error, ParameterError::Missing { .. }) => {
             return Err(error).with_context(|| files.context::<ClimberNode>());

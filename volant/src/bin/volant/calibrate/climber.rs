@@ -3,7 +3,7 @@
 use super::Output;
 use crate::{settings::BagTopics, terminal};
 use anyhow::{Context, Result, bail};
-use bag::{BagReader, recording::read_messages};
+use bag::recording::read_messages;
 use nalgebra::{UnitQuaternion, Vector3};
 use node_kit::{convert, outln};
 use rig_calibration::climber::{AXES, ClimberCalibration, Jog, Value, calibrate_climber};
@@ -14,7 +14,7 @@ use volant::{
     calibration::read_markers,
     command_line::UsageError,
     parameter_update::{Setting, list, number},
-    replay::{Cores, TopicNames},
+    replay::{Cores, TopicNames, summarize},
 };
 use volant_msgs::{Message, sensor_msgs::msg::JointState};
 
@@ -125,7 +125,7 @@ fn find(
     losses: &mut Vec<String>,
 ) -> Result<ClimberCalibration> {
     let shown = path.display();
-    let summary = BagReader::summary(path)?;
+    let summary = summarize(path, losses)?;
     let topic = names.choose(&summary, &[(topics::JOINT_STATES, JointState::TYPE_NAME)]);
     let Some((_, topic)) = topic.with_context(|| shown.to_string())? else {
         let topic = names.resolve(topics::JOINT_STATES);
@@ -153,7 +153,9 @@ fn live(arguments: &Arguments, rig: &Rig, present: &ParameterMap) -> Result<Clim
         absolute::MARKERS,
         absolute::COMPRESSED_IMAGE,
     ];
-    let recorded = super::live::record(topics.map(str::to_owned).to_vec(), arguments.duration)?;
+    let stop = node_kit::console::stop_flag()?;
+    let topics = topics.map(str::to_owned).to_vec();
+    let recorded = super::live::record(topics, arguments.duration, &stop)?;
     let missing = |topic: &str| recorded.unpublished.iter().any(|t| t == topic);
     for topic in [absolute::JOINT_STATES, absolute::CAMERA_INFO] {
         if missing(topic) {

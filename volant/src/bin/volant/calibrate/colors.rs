@@ -4,24 +4,28 @@
 use super::Output;
 use crate::terminal;
 use anyhow::{Context, anyhow, bail, ensure};
-use bag::BagReader;
 use marker_tracker::{ColorCalibration, OwnedImage, decode_compressed_into};
 use nalgebra::Vector2;
 use node_kit::out;
-use rig_model::{MarkerColor, PerColor, Stamp};
+use rig_model::{MarkerColor, PerColor, Stamp, rig::check_colors};
 use std::{
     fs,
     path::{Path, PathBuf},
+    sync::atomic::AtomicBool,
 };
 use volant::{
-    command_line::number,
+    command_line::{self, number},
     parameter_update::{Setting, list},
-    replay::{Counts, Fed, Feed, ImageTopic, TopicNames},
+    replay::{Counts, Fed, Feed, ImageTopic, TopicNames, summarize},
 };
 use volant_msgs::{Message, cdr, sensor_msgs::msg::CameraInfo};
 
 /// Images of a bag or a topic that are evaluated.
 const IMAGES: usize = 60;
+
+/// Spread of a color over the images beyond which they do not show one paper, 0–255. Markers in
+/// the recordings with ground truth have up to 2.5, a place on the floor or the platform 13 to 24.
+const LARGEST_SPREAD: f64 = 8.0;
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -105,8 +109,9 @@ fn measure(arguments: &Arguments, losses: &mut Vec<String>) -> anyhow::Result<Ve
     } else {
         topic(arguments, &mut calibration, losses)?;
     }
+    let result = calibration.result();
     let (mut settings, mut notes, mut missing) = (vec![], vec![], vec![]);
-    for (color, found) in calibration.result().iter() {
+    for (color, found) in result.iter() {
         match found {
             Some(c) => {
                 let [r, g, b] = c.rgb;
@@ -135,7 +140,30 @@ fn measure(arguments: &Arguments, losses: &mut Vec<String>) -> anyhow::Result<Ve
         );
     }
     notes.iter().for_each(|note| terminal::line(note));
+    let colors = PerColor::from_fn(|color| result[color].map(|found| found.rgb));
+    check_colors(&colors).with_context(|| {
+        format!("{}: not the markers' colors; {}", arguments.source, remedy(arguments))
+    })?;
+    for (color, found) in result.iter() {
+        let spread = found.map_or(0.0, |found| found.spread);
+        if spread > LARGEST_SPREAD {
+            terminal::warn(format!(
+                "{color}: not one color: it varies by {spread:.0} of 255 between the images \
+                 (usual: up to 3), so not all of them show the marker there; {}",
+                remedy(arguments)
+            ));
+        }
+    }
     Ok(settings)
+}
+
+/// What to do where other things than markers were measured.
+fn remedy(arguments: &Arguments) -> &'static str {
+    match (arguments.pick.as_slice(), &arguments.rig) {
+        ([], None) => "give the rig file with --rig, or the markers' places with --pick",
+        ([], Some(_)) => "give images with all four markers in good light",
+        _ => "a --pick holds for all images, so give one image, and a place on the marker in it",
+    }
 }
 
 fn image_file(path: &Path, calibration: &mut ColorCalibration) -> anyhow::Result<()> {
@@ -154,7 +182,7 @@ fn bag(
     losses: &mut Vec<String>,
 ) -> anyhow::Result<()> {
     let shown = path.display();
-    let summary = BagReader::summary(path)?;
+    let summary = summarize(path, losses)?;
     let all = ImageTopic::all(&summary);
     let images = match topic {
         Some(name) => all.into_iter().find(|images| images.name() == name),
@@ -211,21 +239,28 @@ pub fn camera_info(images: &str) -> String {
     format!("{camera}/camera_info")
 }
 
-/// Records the topic for a short time and evaluates the recording.
+/// Records the topic for a short time and evaluates the recording. A signal ends the process.
 fn topic(
     arguments: &Arguments,
     calibration: &mut ColorCalibration,
     losses: &mut Vec<String>,
 ) -> anyhow::Result<()> {
-    let name = TopicNames::default().resolve(&arguments.source);
+    let source = &arguments.source;
+    // The dot of `run.mcap` is in no topic's name.
+    let name = command_line::topic(source).map_err(|error| {
+        anyhow!(
+            "{source}: there is no such file, and it is no topic ({error}); correct the path or \
+             the topic's name"
+        )
+    })?;
     let topics = vec![name.clone(), camera_info(&name)];
-    let recorded = super::live::record(topics, arguments.duration)?;
+    let recorded = super::live::record(topics, arguments.duration, &AtomicBool::new(false))?;
     if recorded.unpublished.contains(&name) {
         bail!(
-            "{}: there is no such file, and no publisher of a topic {name}; correct the path, or \
-             start the camera's driver",
-            arguments.source
+            "{source}: there is no such file, and no publisher of a topic {name}; correct the \
+             path, or start the camera's driver"
         );
     }
+    ensure!(recorded.messages > 0, "{name}: no message; check the camera's driver");
     bag(recorded.path(), Some(&name), calibration, losses)
 }

@@ -3,13 +3,14 @@
 use super::Output;
 use crate::terminal;
 use anyhow::{Context, Result, bail};
-use bag::{BagReader, recording::read_messages};
+use bag::recording::read_messages;
 use node_kit::{convert, outln};
 use rig_calibration::allan::{ImuNoise, Sensor, imu_noise};
 use rig_model::{ImuSample, topics::absolute};
 use std::path::{Path, PathBuf};
 use volant::{
     parameter_update::{Setting, number},
+    replay::summarize,
     report::{Axis, Color, Panel, Series, Shape, Sheet, colors, panels},
 };
 use volant_msgs::{Message, sensor_msgs::msg::Imu};
@@ -62,7 +63,7 @@ pub fn run(arguments: &Arguments) -> Result<ImuNoise> {
 /// No IMU topic, or several without the rig's; an unreadable bag.
 pub fn read(path: &Path, topic: Option<&str>, losses: &mut Vec<String>) -> Result<Vec<ImuSample>> {
     let shown = path.display();
-    let summary = BagReader::summary(path)?;
+    let summary = summarize(path, losses)?;
     let known = summary.topics_of(Imu::TYPE_NAME);
     let name = match (topic, known.as_slice()) {
         (Some(topic), _) if known.contains(&topic) => topic,

@@ -7,7 +7,7 @@ pub mod imu;
 mod live;
 pub mod rig;
 
-use crate::terminal;
+use crate::{settings, terminal};
 use clap::{Parser, Subcommand};
 use std::{
     ffi::OsString,
@@ -87,9 +87,9 @@ pub fn is_here(words: &[OsString]) -> bool {
 
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     match &arguments.action {
-        // A signal ends the recording of live topics.
-        Action::Colors(_) => {}
+        // A signal ends the recording.
         Action::Climber(arguments) if arguments.live => {}
+        Action::Colors(_) => node_kit::console::end_on_signals("volant", live::discard)?,
         _ => node_kit::console::end_on_signals("volant", || {})?,
     }
     match &arguments.action {
@@ -105,11 +105,13 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 /// Reads a rig file.
 ///
 /// # Errors
-/// It is not readable, or not a valid rig file.
+/// It is not readable, or not a valid rig file; a live node would reject its parameters.
 pub fn read_rig(path: &Path) -> anyhow::Result<rig_model::Rig> {
     use anyhow::Context;
-    node_kit::files::read_text(path)
+    let rig = node_kit::files::read_text(path)
         .map_err(anyhow::Error::from)
         .and_then(|text| Ok(rig_model::Rig::from_yaml(&text)?))
-        .with_context(|| format!("{}: not a usable rig file", path.display()))
+        .with_context(|| format!("{}: not a usable rig file", path.display()))?;
+    settings::check_given(path)?;
+    Ok(rig)
 }
