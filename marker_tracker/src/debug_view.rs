@@ -1,7 +1,7 @@
 //! What debug images and diagnostics show of the tracker.
 
 use nalgebra::Vector2;
-use rig_model::MarkerState;
+use rig_model::{MarkerState, PerColor};
 
 /// Outcome of the search for one marker in one image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -9,6 +9,12 @@ pub enum Outcome {
     /// No outline near the predicted place, and no pose that predicts it better.
     #[default]
     NotFound,
+    /// Nothing in the image has its color.
+    NoPatch,
+    /// What has its color is not where the layout has the marker beside the others.
+    NotInLayout,
+    /// What has its color, where the layout has the marker, is not bounded by four straight edges.
+    NoOutline,
     /// Detected: all four edges were measured, or a region of the whole square's area.
     Whole,
     /// Detected from the edges that are not covered.
@@ -32,6 +38,9 @@ impl Outcome {
     pub const fn as_str(self) -> &'static str {
         match self {
             Self::NotFound => "not found",
+            Self::NoPatch => "nothing of its color in the image",
+            Self::NotInLayout => "what has its color is not where the layout has it",
+            Self::NoOutline => "what has its color is no square with four visible edges",
             Self::Whole => "whole",
             Self::PartlyCovered => "partly covered, measured by its other edges",
             Self::Covered => "covered",
@@ -77,4 +86,55 @@ pub struct SignalView {
     /// Adapted hue histogram of the marker: equal bins over the circle from 0°, weighted by
     /// saturation, with sum 1.
     pub hue: Vec<f32>,
+}
+
+/// Explains from the outcomes of the search why the markers were not found, with a remedy.
+pub(crate) fn why_not_found(outcomes: &PerColor<Outcome>) -> Option<String> {
+    let colors_of = |outcome: Outcome| -> Vec<&str> {
+        outcomes.iter().filter(|(_, o)| **o == outcome).map(|(color, _)| color.name()).collect()
+    };
+    let (absent, elsewhere) = (colors_of(Outcome::NoPatch), colors_of(Outcome::NotInLayout));
+    let unclear = colors_of(Outcome::NoOutline);
+    if absent.len() > 1 {
+        // It takes three.
+        let absent = absent.join(", ");
+        Some(format!(
+            "nothing has the color of {absent}; if they are in view, calibrate the colors \
+             (`volant calibrate colors`)"
+        ))
+    } else if !unclear.is_empty() {
+        let unclear = unclear.join(", ");
+        Some(format!(
+            "what has the color of {unclear} is no square with four visible edges: look for \
+             something in front of it, for a thing of its color against it, and for highlights"
+        ))
+    } else if !elsewhere.is_empty() {
+        let elsewhere = elsewhere.join(", ");
+        Some(format!(
+            "what has the color of {elsewhere} is not arranged as the markers are: check their \
+             places in the rig file, and camera_info"
+        ))
+    } else {
+        None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_reason_names_the_colors() {
+        use Outcome::{NoOutline, NoPatch, NotFound, NotInLayout};
+        for (outcomes, wanted) in [
+            ([NoPatch, NotInLayout, NoPatch, NotInLayout], Some("color of red, blue; if")),
+            ([NoPatch, NotInLayout, NotInLayout, NotInLayout], Some("green, blue, yellow is not")),
+            ([NotInLayout, NoOutline, NotInLayout, NotInLayout], Some("of green is no square")),
+            ([NotFound; 4], None),
+        ] {
+            let why = why_not_found(&PerColor(outcomes));
+            assert_eq!(why.is_some(), wanted.is_some());
+            assert!(wanted.is_none_or(|w| why.as_ref().unwrap().contains(w)), "{why:?}");
+        }
+    }
 }

@@ -2,7 +2,7 @@
 
 use crate::{
     config::TrackerConfig,
-    debug_view::{MarkerView, SignalView},
+    debug_view::{MarkerView, SignalView, why_not_found},
     decode::PartialImage,
     engine::Engine,
     image::{ImageError, ImageView, Pixels, Window},
@@ -205,6 +205,11 @@ impl Tracker {
     /// The tracks after the last image.
     pub fn views(&self) -> PerColor<MarkerView> {
         PerColor::from_fn(|c| self.engine.view(c))
+    }
+
+    /// Why the markers were not found in the last image, with a remedy; `None` where they were.
+    pub fn why_not_found(&self) -> Option<String> {
+        why_not_found(&PerColor(self.views().0.map(|view| view.outcome)))
     }
 
     /// The color signal of a marker's window in `image`, which must be the last one processed;

@@ -6,7 +6,7 @@ use rig_model::{CameraModel, Distortion, MarkerLayout, Rig};
 use std::ops::Range;
 
 /// Number of parameters.
-pub const PARAMETERS: usize = 51;
+pub const PARAMETERS: usize = 52;
 /// Rotation of the camera about the climber's axes, rad.
 pub const CAMERA_TURN: Range<usize> = 0..3;
 /// Position of the camera in the climber frame, m.
@@ -41,15 +41,19 @@ pub const TURN_SCALE: usize = 44;
 pub const RATE_SCALE: Range<usize> = 45..48;
 /// Scale of each accelerometer axis, minus one.
 pub const FORCE_SCALE: Range<usize> = 48..51;
+/// Readout time of a rolling shutter, s.
+pub const READOUT: usize = 51;
 
 /// Parameters on which pixels depend.
 pub fn of_pixels(i: usize) -> bool {
-    i < 6 || MARKERS.contains(&i) || (CLIMBER_CLOCK..=TURN_SCALE).contains(&i)
+    i < 6 || MARKERS.contains(&i) || (CLIMBER_CLOCK..=TURN_SCALE).contains(&i) || i == READOUT
 }
 
 /// Parameters on which the IMU's motion between two images depends.
 pub fn of_motion(i: usize) -> bool {
-    (6..12).contains(&i) || (24..=CAMERA_CLOCK).contains(&i) || i > TURN_SCALE
+    (6..12).contains(&i)
+        || (24..=CAMERA_CLOCK).contains(&i)
+        || (RATE_SCALE.start..READOUT).contains(&i)
 }
 
 /// Rig under refinement, with camera, sensor errors, clock offsets and encoder scales: the flat
@@ -70,6 +74,8 @@ pub struct Parameters {
     pub camera_clock: f64,
     /// Climber clock offset, s (climber stamp + offset = camera time).
     pub climber_clock: f64,
+    /// Readout time of a rolling shutter from the first row to the last, s.
+    pub readout: f64,
     /// World axes over rail readings.
     pub rails: Matrix2<f64>,
     /// Factor of the climber's turn.
@@ -113,6 +119,7 @@ impl Parameters {
             },
             camera_clock: 0.0,
             climber_clock: 0.0,
+            readout: 0.0,
             rails: Matrix2::identity(),
             turn_scale: 1.0,
             ignored: [false; 3],
@@ -141,6 +148,7 @@ impl Parameters {
         next.sensor.force_scale += v(FORCE_SCALE);
         next.camera_clock += step[CAMERA_CLOCK];
         next.climber_clock += step[CLIMBER_CLOCK];
+        next.readout += step[READOUT];
         next.layout_scale += step[LAYOUT_SCALE];
         next.layout = scaled(&next.rig.markers, next.layout_scale.exp());
         if step[FOCAL..LAYOUT_SCALE].iter().any(|s| *s != 0.0) {
@@ -176,6 +184,7 @@ impl Parameters {
         put(FORCE_SCALE, s.force_scale - o.force_scale);
         d[CAMERA_CLOCK] = self.camera_clock - other.camera_clock;
         d[CLIMBER_CLOCK] = self.climber_clock - other.climber_clock;
+        d[READOUT] = self.readout - other.readout;
         d[FOCAL] = (self.camera.focal_lengths().x / other.camera.focal_lengths().x).ln();
         let point = self.camera.principal_point() - other.camera.principal_point();
         d.rows_mut(PRINCIPAL.start, 2).copy_from(&point);

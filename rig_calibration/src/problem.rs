@@ -71,7 +71,8 @@ fn pixels_from(
         for color in MarkerColor::ALL {
             let i = color.index();
             let predicted = p.layout.projected_centroid(color, &p.camera, &pose)?;
-            residual.fixed_rows_mut::<2>(2 * i).copy_from(&(shot.pixels[i] - predicted.pixel));
+            let measured = shot.pixels[i] - shot.by_readout[i] * p.readout;
+            residual.fixed_rows_mut::<2>(2 * i).copy_from(&(measured - predicted.pixel));
         }
         Some(residual)
     };

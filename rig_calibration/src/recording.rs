@@ -20,6 +20,20 @@ pub struct Samples {
 }
 
 impl Samples {
+    /// Moves the markers to where they are in the middle of the exposure of a rolling shutter that
+    /// takes `readout` s from the first row to the last.
+    pub fn at_one_time(&mut self, readout: f64) {
+        if readout == 0.0 {
+            return;
+        }
+        let moves = by_readout(&self.markers, &self.camera);
+        for (observations, moves) in self.markers.iter_mut().zip(moves) {
+            for (marker, by_readout) in observations.markers.0.iter_mut().zip(moves) {
+                marker.centroid -= by_readout * readout;
+            }
+        }
+    }
+
     /// Sorts each topic by its stamps; removes messages that are repeated, have no stamp or are not
     /// finite, which the filter rejects, too.
     pub(crate) fn repair(&mut self) {
@@ -41,6 +55,28 @@ impl Samples {
         in_order(&mut self.climber, |s| s.stamp);
         in_order(&mut self.markers, |o| o.stamp);
     }
+}
+
+/// How a rolling shutter moves the markers of each image, px per second of readout: a row is exposed
+/// its share of the readout before or after the middle one. 0 where the image velocity is unknown.
+fn by_readout(markers: &[MarkerObservations], camera: &CameraModel) -> Vec<[Vector2<f64>; 4]> {
+    /// Longest time between two images from which a velocity is computed, s.
+    const LONGEST: f64 = 0.2;
+    let height = f64::from(camera.size().1);
+    let seen = |k: usize, color: usize| {
+        let marker = &markers[k].markers.0[color];
+        (marker.state == MarkerState::Detected).then_some(marker.centroid)
+    };
+    let moved = |k: usize, color: usize| {
+        let (from, to) = (k.checked_sub(1)?, k + 1);
+        let to = (to < markers.len()).then_some(to)?;
+        let dt = markers[to].stamp.seconds_since(markers[from].stamp);
+        let velocity = (seen(to, color)? - seen(from, color)?) / dt;
+        let late = seen(k, color)?.y / height - 0.5;
+        (dt > 0.0 && dt < LONGEST).then_some(velocity * late)
+    };
+    let of_image = |k: usize| [0, 1, 2, 3].map(|color| moved(k, color).unwrap_or_default());
+    (0..markers.len()).map(of_image).collect()
 }
 
 fn finite<'a>(mut values: impl Iterator<Item = &'a f64>) -> bool {
@@ -67,6 +103,8 @@ pub struct Shot {
     pub pixels: [Vector2<f64>; 4],
     /// Covariances of the centroids, px².
     pub covariances: [Matrix2<f64>; 4],
+    /// How a rolling shutter moves the markers, px per second of readout.
+    pub by_readout: [Vector2<f64>; 4],
 }
 
 /// Recording as numbers.
@@ -117,14 +155,17 @@ impl Recording {
         let end = imu[imu.len() - 1].0;
         // Beyond its ends the climber's readings are unknown.
         let covered = climber[0].0..=climber[climber.len() - 1].0;
+        let moves = by_readout(&samples.markers, &samples.camera);
         let mut shots: Vec<Shot> = samples
             .markers
             .iter()
-            .filter(|o| all_detected(o))
-            .map(|o| Shot {
+            .zip(moves)
+            .filter(|(o, _)| all_detected(o))
+            .map(|(o, by_readout)| Shot {
                 time: o.stamp.seconds_since(start),
                 pixels: o.markers.0.map(|m| m.centroid),
                 covariances: o.markers.0.map(|m| m.covariance),
+                by_readout,
             })
             // The IMU samples must extend beyond both ends, also with different clocks.
             .filter(|s| s.time > 0.2 && s.time < end - 0.2 && covered.contains(&s.time))

@@ -7,7 +7,9 @@ use anyhow::{Context, Result, anyhow, bail};
 use bag::BagReader;
 use climber_driver::Climber;
 use marker_tracker::{Input, Output, Tracker, TrackerConfig};
-use rig_calibration::{Estimate, Recording, Report, Samples, Track, examine_stamps, refine_rig};
+use rig_calibration::{
+    Clocks, Estimate, Recording, Report, Samples, Track, examine_stamps, refine_rig,
+};
 use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations, Sample, topics};
 use std::path::Path;
 use volant_msgs::{
@@ -150,8 +152,10 @@ pub fn check_bag(bag: &Path, cores: &Cores, losses: &mut Vec<String>) -> Result<
         track_bag(bag, layout, &cores.tracker, camera, limit, &cores.names).unwrap_or_default()
     };
     let track: Option<&mut Track<'_>> = if has_images { Some(&mut track) } else { None };
-    let climber_offset = cores.fusion.tight.clock.climber_offset;
-    rig_calibration::check(&samples, &cores.rig, climber_offset, track)
+    let clock = &cores.fusion.tight.clock;
+    let clocks =
+        Clocks { climber_offset: clock.climber_offset, image_readout: clock.image_readout };
+    rig_calibration::check(&samples, &cores.rig, clocks, track)
         .with_context(|| bag.display().to_string())
 }
 
@@ -174,7 +178,8 @@ pub fn refine_from_bag(
     loop {
         // The same in each round.
         losses.truncate(known);
-        let samples = read(bag, &seen_with, true, losses)?;
+        let mut samples = read(bag, &seen_with, true, losses)?;
+        samples.at_one_time(cores.fusion.tight.clock.image_readout);
         if let Some(finding) = examine_stamps(&samples).iter().find(|f| f.blocks) {
             bail!("{}: {}; {}", bag.display(), finding.text, finding.remedy);
         }

@@ -8,12 +8,14 @@ use rig_model::CameraModel;
 const NEARLY_BLACK: f64 = 12.0;
 const NEARLY_WHITE: f64 = 243.0;
 
-/// Level and message of the node's status; `uses_camera`: whether the method needs a camera model.
+/// Level and message of the node's status; `uses_camera`: whether the method needs a camera model;
+/// `why`: the markers were not found in the last image.
 pub(super) fn assess(
     stages: &Stages,
     camera: Option<&CameraModel>,
     uses_camera: bool,
     incomplete: &IncompleteImages,
+    why: Option<String>,
 ) -> (Health, String) {
     let error = |message: &str| (Health::Error, message.to_owned());
     if stages.convert.count == 0 {
@@ -42,14 +44,14 @@ pub(super) fn assess(
         };
         (Health::Warn, format!("{why}: geometry is only checked coarsely"))
     } else if stages.detected[0] == stages.accepted() {
-        (Health::Warn, why_none(stages, camera.filter(|_| uses_camera)))
+        (Health::Warn, why_none(stages, camera.filter(|_| uses_camera), why))
     } else {
         (Health::Ok, "tracking".to_owned())
     }
 }
 
 /// Explains from the images why no marker was detected for a second.
-fn why_none(stages: &Stages, camera: Option<&CameraModel>) -> String {
+fn why_none(stages: &Stages, camera: Option<&CameraModel>, why: Option<String>) -> String {
     let (width, height) = stages.size;
     let is_other = |&(w, h): &(u32, u32)| (w as usize, h as usize) != (width, height);
     if let Some((w, h)) = camera.map(CameraModel::size).filter(is_other) {
@@ -57,7 +59,8 @@ fn why_none(stages: &Stages, camera: Option<&CameraModel>) -> String {
             "no marker in view: the images are {width}x{height}, camera_info is for {w}x{h}"
         );
     }
-    why_blank(stages).unwrap_or_else(|| "no marker in view".to_owned())
+    let found_none = "no marker in view".to_owned();
+    why_blank(stages).or(why.map(|why| format!("{found_none}: {why}"))).unwrap_or(found_none)
 }
 
 /// Names images without a marker that are black or white.
@@ -89,7 +92,8 @@ mod tests {
             for _ in 0..30 {
                 stages.add_brightness(&image.view(Stamp::default()));
             }
-            let (_, message) = assess(&stages, None, true, &IncompleteImages::default());
+            let counts = IncompleteImages::default();
+            let (_, message) = assess(&stages, None, true, &counts, None);
             assert!(message.contains(wanted), "{value}: {message}");
         }
     }
@@ -109,7 +113,7 @@ mod tests {
             (Some(&large), false, false, "nearly black"),
         ] {
             counts.is_info_rejected = is_info_rejected;
-            let (_, message) = assess(&stages, camera, uses_camera, &counts);
+            let (_, message) = assess(&stages, camera, uses_camera, &counts, None);
             assert!(message.contains(wanted), "{message}");
         }
     }

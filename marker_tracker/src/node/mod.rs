@@ -173,8 +173,9 @@ impl NodeShell for MarkerTrackerNode {
         let stages = std::mem::take(&mut self.stages);
         let mut incomplete = self.incomplete.lock();
         let uses_camera = self.tracker.uses_camera();
+        let why = self.tracker.why_not_found();
         let (health, message) =
-            health::assess(&stages, self.camera.as_ref(), uses_camera, &incomplete);
+            health::assess(&stages, self.camera.as_ref(), uses_camera, &incomplete, why);
         let mut values = stages.values();
         values.push(("incomplete images dropped", incomplete.dropped.to_string()));
         incomplete.recent = 0;

@@ -3,6 +3,7 @@
 use crate::{
     appearance::Appearance,
     association::{Extent, Hypothesis, Strictness, hypotheses},
+    debug_view::Outcome,
     edge::Tolerance,
     geometry::PoseObservation,
     image::Pixels,
@@ -102,7 +103,10 @@ impl Acquisition {
         Some(outline.shifted(nearest.centroid - place))
     }
 
-    /// Searches the whole image; `None` where no four markers, and no unambiguous three, are found.
+    /// Searches the whole image.
+    ///
+    /// # Errors
+    /// Why the markers are not found, where no four, and no unambiguous three, are.
     pub fn search(
         &mut self,
         image: &Pixels<'_>,
@@ -110,7 +114,7 @@ impl Acquisition {
         known_camera: bool,
         platform: &PlatformModel,
         meters: &PerColor<OutlineMeter>,
-    ) -> Option<Acquired> {
+    ) -> Result<Acquired, PerColor<Outcome>> {
         let size = (image.width * image.height) as f64;
         // An assumed camera admits larger deviations.
         let strictness = if known_camera {
@@ -140,22 +144,25 @@ impl Acquisition {
         };
         let palette = self.scanner.palette;
         let verification = Verification { image, camera, known_camera, platform, meters, palette };
+        let mut outcomes = PerColor([Outcome::NoPatch; 4]);
         // Three patches only where no four are confirmed.
         for (config, extents) in [
             (coarse, &[Extent::Quick] as &[Extent]),
             (fine, &[Extent::Quick, Extent::Fours, Extent::Threes]),
         ] {
             self.scanner.scan(image, full, &config);
+            for patch in &self.scanner.patches {
+                outcomes[patch.color] = Outcome::NotInLayout;
+            }
             for extent in extents {
                 let (geometry, patches) = (platform.geometry(camera), &self.scanner.patches);
                 hypotheses(geometry, patches, strictness, *extent, &mut self.found);
-                let best = verification.best_of(&self.found);
-                if best.is_some() {
-                    return best;
+                if let Some(best) = verification.best_of(&self.found, &mut outcomes) {
+                    return Ok(best);
                 }
             }
         }
-        None
+        Err(outcomes)
     }
 }
 
@@ -171,12 +178,20 @@ struct Verification<'a, 'p> {
 
 impl Verification<'_, '_> {
     /// The hypothesis that its outlines confirm best; none where three markers could be in several
-    /// places.
-    fn best_of(&self, found: &[Hypothesis]) -> Option<Acquired> {
+    /// places. Notes in `outcomes` which outlines the likeliest hypothesis lacks.
+    fn best_of(&self, found: &[Hypothesis], outcomes: &mut PerColor<Outcome>) -> Option<Acquired> {
         let mut best: Option<Acquired> = None;
         let mut ambiguous = false;
-        for hypothesis in found {
-            let Some(v) = self.verify(hypothesis) else { continue };
+        for (rank, hypothesis) in found.iter().enumerate() {
+            let mut measured = PerColor([false; 4]);
+            let Some(v) = self.verify(hypothesis, &mut measured) else {
+                for color in MarkerColor::ALL.into_iter().filter(|_| rank == 0) {
+                    if hypothesis.patches[color].is_some() && !measured[color] {
+                        outcomes[color] = Outcome::NoOutline;
+                    }
+                }
+                continue;
+            };
             if let Some(b) = &best {
                 ambiguous |= b.count == v.count && !b.is_at_the_place_of(&v);
             }
@@ -190,8 +205,8 @@ impl Verification<'_, '_> {
         best.filter(|b| b.count == 4 || !ambiguous)
     }
 
-    /// Measures the outlines of one hypothesis and refines its pose.
-    fn verify(&self, hypothesis: &Hypothesis) -> Option<Acquired> {
+    /// Measures the outlines of one hypothesis and refines its pose. Notes which were `measured`.
+    fn verify(&self, hypothesis: &Hypothesis, measured: &mut PerColor<bool>) -> Option<Acquired> {
         let start = View {
             camera: self.camera,
             is_known: self.known_camera,
@@ -212,6 +227,7 @@ impl Verification<'_, '_> {
                 continue;
             }
             let Some(fit) = self.measure(color, &appearance, &predicted) else { continue };
+            measured[color] = true;
             appearance.adapt(self.image, &fit.quad, 1.0);
             let turn = self.platform.turn_of(color, &start, &fit)?;
             if turn.abs() > MAX_TURN {

@@ -123,7 +123,17 @@ impl Pipeline {
         let meters = PerColor::from_fn(|color| self.meter(color).without_levels());
         let known = self.camera.is_given;
         let found = self.acquisition.search(image, camera, known, &self.state.platform, &meters);
-        let Some(found) = found else { return false };
+        let found = match found {
+            Ok(found) => found,
+            Err(outcomes) => {
+                for (track, outcome) in self.state.markers.0.iter_mut().zip(outcomes.0) {
+                    if track.outcome == Outcome::NotFound {
+                        track.outcome = outcome;
+                    }
+                }
+                return false;
+            }
+        };
         self.state.motion.pose = Some(found.pose);
         for color in MarkerColor::ALL {
             let track = &mut self.state.markers[color];

@@ -215,7 +215,8 @@ impl Filter {
     fn suspend_encoders(&mut self, place: usize, at: Stamp, innovation: &Innovation<3>) {
         if !self.trust.is_suspended() {
             let distance_m = innovation.residual.xy().norm();
-            self.publisher.warn(Warning::EncodersSuspended { stamp: at, distance_m });
+            let turn_rad = innovation.residual.z.abs();
+            self.publisher.warn(Warning::EncodersSuspended { stamp: at, distance_m, turn_rad });
         }
         let read = self.read_at(place).unwrap_or(at);
         let returns = self.climber.moves_on(read);

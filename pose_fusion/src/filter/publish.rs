@@ -261,7 +261,7 @@ impl Filter {
             return PoseStatus::initializing(now, time_offset, self.missing());
         }
         let silence = self.silence(now);
-        let reason = format!("no IMU sample and no image with markers for {silence:.1} s");
+        let reason = format!("no usable IMU sample and no image with markers for {silence:.1} s");
         PoseStatus::lost(now, self.ages(now), time_offset, reason)
     }
 

@@ -3,8 +3,8 @@
 use crate::config::StatusConfig;
 use rig_model::Stamp;
 
-/// Why the pose comes from images alone where no IMU sample arrives.
-pub const NO_IMU_SAMPLE: &str = "no IMU sample";
+/// Why the pose comes from images alone where no IMU sample is accepted.
+pub const NO_IMU_SAMPLE: &str = "no usable IMU sample";
 /// Reason of a pose that images contradict again and again.
 pub const CONTRADICTED_REASON: &str = "images contradict the IMU or the encoders: check units, \
                             signs, orientations and frames (`volant check` names the cause)";
@@ -195,7 +195,7 @@ mod tests {
         let tracking = judged(|_| {}, false);
         assert!(!judged(|s| s.position_sigma = f64::NAN, false).valid);
         let never = judged(|s| s.imu_age = f64::INFINITY, true);
-        assert_eq!(never.reason, "no IMU sample");
+        assert_eq!(never.reason, "no usable IMU sample");
         let config = StatusConfig { max_position_sigma: 1.0, ..StatusConfig::default() };
         let lost = PoseStatus { position_sigma: 0.5, ..tracking.clone() };
         let lost = lost.judged(&config, None, None);

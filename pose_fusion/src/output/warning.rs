@@ -87,9 +87,9 @@ pub enum Warning {
     #[error(
         "the encoder reading at {stamp} contradicts the estimate by {}; the encoders are not used \
          until they are consistent with it again",
-        contradiction(*distance_m)
+        contradiction(*distance_m, *turn_rad)
     )]
-    EncodersSuspended { stamp: Stamp, distance_m: f64 },
+    EncodersSuspended { stamp: Stamp, distance_m: f64, turn_rad: f64 },
     #[error(
         "the encoders repeat one reading since {since}, and the images show that the climber moves: \
          they may be stuck, and are not used until they are consistent with the estimate again"
@@ -114,9 +114,9 @@ pub enum Warning {
 
 /// Describes by how much an encoder reading contradicts the estimate: its distance, or its turn
 /// where the rails agree to a millimeter.
-fn contradiction(distance_m: f64) -> String {
+fn contradiction(distance_m: f64, turn_rad: f64) -> String {
     if distance_m < 1e-3 {
-        "its turn alone (is it in radians?)".to_owned()
+        format!("its turn alone, {turn_rad:.3} rad (is it published in radians?)")
     } else {
         format!("{distance_m:.3} m")
     }
@@ -146,9 +146,10 @@ mod tests {
     #[test]
     fn a_contradiction_of_the_turn_is_no_distance() {
         let text = |distance_m| {
-            Warning::EncodersSuspended { stamp: Stamp::default(), distance_m }.to_string()
+            let stamp = Stamp::default();
+            Warning::EncodersSuspended { stamp, distance_m, turn_rad: 0.31 }.to_string()
         };
         assert!(text(0.25).contains("by 0.250 m;"), "{}", text(0.25));
-        assert!(text(1e-5).contains("by its turn alone (is it in radians?)"), "{}", text(1e-5));
+        assert!(text(1e-5).contains("by its turn alone, 0.310 rad (is"), "{}", text(1e-5));
     }
 }

@@ -335,8 +335,11 @@ fn no_start_is_reported_as_lost() {
             let motion = MotionConfig { duration: 1.0, ..MotionConfig::nominal(seed) };
             let run = simulated::run(motion, &sensors);
             let (_, outputs) = scoring::follow(FusionConfig::default(), run.inputs());
-            let lost: Vec<_> =
-                outputs.status.iter().filter(|s| s.reason.contains("no IMU sample")).collect();
+            let lost: Vec<_> = outputs
+                .status
+                .iter()
+                .filter(|s| s.reason.contains("no usable IMU sample"))
+                .collect();
             assert!(outputs.odometry.len() > 50 && lost.is_empty(), "{ahead} {seed}: {lost:?}");
         }
     }

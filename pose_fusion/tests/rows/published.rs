@@ -72,7 +72,7 @@ fn the_status_of_the_published_filter_names_what_is_missing() {
     }
     for status in statuses(|input| !matches!(input, Input::Imu(_))) {
         assert_eq!(status.state, PoseState::VisionOnly, "{status:?}");
-        assert!(status.reason.starts_with("no IMU sample for "), "{}", status.reason);
+        assert!(status.reason.starts_with("no usable IMU sample for "), "{}", status.reason);
     }
     for status in statuses(|input| !matches!(input, Input::Climber(_))) {
         assert_eq!(status.state, PoseState::Coasting, "{status:?}");

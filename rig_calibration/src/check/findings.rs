@@ -246,6 +246,7 @@ fn file_value(cause: Cause, k: usize, file: &Parameters) -> f64 {
         | Cause::GyroScale
         | Cause::AccelerometerScale => 1.0,
         Cause::ClimberClock => file.climber_clock,
+        Cause::Readout => file.readout,
         _ => 0.0,
     }
 }
@@ -270,6 +271,7 @@ fn name(cause: Cause) -> &'static str {
         Cause::AccelerometerScale => "accelerometer scale",
         Cause::ClimberClock => "climber clock",
         Cause::ImuClock => "imu clock",
+        Cause::Readout => "clock.image_readout",
     }
 }
 
@@ -369,6 +371,15 @@ fn finding(
         Cause::ImuClock => (
             format!("the IMU's stamps are {:+.1} ms from the images'", of(0)),
             "synchronize the clocks, or stamp the images at mid-exposure",
+        ),
+        Cause::Readout => (
+            format!(
+                "the camera has a rolling shutter of {:.1} ms from the first row to the last, and \
+                 clock.image_readout is {} s",
+                of(0) + group.unit.1 * file.readout,
+                file.readout
+            ),
+            "correct clock.image_readout in pose_fusion's parameters, or use a global shutter",
         ),
     };
     if !alternatives.is_empty() {

@@ -60,18 +60,26 @@ impl Corrected {
     }
 }
 
+/// Configured clocks, which the check judges.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Clocks {
+    /// Offset of the climber's stamps, s: climber stamp + offset = camera time.
+    pub climber_offset: f64,
+    /// Readout time of the camera's rolling shutter, s.
+    pub image_readout: f64,
+}
+
 /// Checks a rig's files against a recording.
 ///
 /// `samples.markers` are those tracked with the rig's layout, or those of the recording; `track`
-/// tracks the images again with another one, where the recording has images. `climber_offset` is
-/// the configured offset of the climber's stamps, s: climber stamp + offset = camera time.
+/// tracks the images again with another one, where the recording has images.
 ///
 /// # Errors
 /// The recording is too short, or no pose fits it.
 pub fn check(
     samples: &Samples,
     rig: &Rig,
-    climber_offset: f64,
+    clocks: Clocks,
     track: Option<&mut Track<'_>>,
 ) -> Result<Report, CalibrationError> {
     let mut state = Corrected {
@@ -91,7 +99,7 @@ pub fn check(
     }
     state.samples.repair();
     for sample in &mut state.samples.climber {
-        sample.stamp = sample.stamp.plus_seconds(climber_offset);
+        sample.stamp = sample.stamp.plus_seconds(clocks.climber_offset);
     }
     inertial::examine_units(&mut state);
     layout::examine_places(&mut state);
@@ -99,6 +107,7 @@ pub fn check(
     if let Some(report) = state.blocked() {
         return Ok(report);
     }
+    state.samples.at_one_time(clocks.image_readout);
     let recording = Recording::new(&state.samples)?;
     rates::examine_turn(&mut state, &recording);
     if let Some(report) = state.blocked() {
@@ -131,7 +140,7 @@ pub fn check(
         }
     };
     let change: DVector<f64> = outcome.parameters.minus(&file);
-    // The samples are shifted by it, so that the change is relative to it.
-    file.climber_clock = climber_offset;
+    // The samples are shifted by them, so that the changes are relative to them.
+    (file.climber_clock, file.readout) = (clocks.climber_offset, clocks.image_readout);
     Ok(findings::report(&state, &file, &outcome, &change))
 }

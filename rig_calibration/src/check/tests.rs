@@ -13,6 +13,10 @@ use rig_simulator::{
 
 /// A run of 20 s in which all axes of the climber move.
 fn recorded() -> (Samples, Rig) {
+    recorded_with(SensorConfig::nominal(1))
+}
+
+fn recorded_with(sensors: SensorConfig) -> (Samples, Rig) {
     let motion = Motion::new(MotionConfig {
         duration: 20.0,
         swing: 0.2,
@@ -23,7 +27,7 @@ fn recorded() -> (Samples, Rig) {
     let rig = Rig::from_yaml(RIG_YAML).unwrap();
     let lens = Distortion::PlumbBob([-0.23, 0.082, 7e-4, -4e-4, -0.006]);
     let camera = CameraModel::new(640, 480, [591.3, 589.7, 319.3, 235.2], lens).unwrap();
-    let recorded = Sensors::new(&motion, &rig, &camera, &SensorConfig::nominal(1)).record();
+    let recorded = Sensors::new(&motion, &rig, &camera, &sensors).record();
     let mut samples = Samples { camera, markers: vec![], imu: vec![], climber: vec![] };
     for (_, sample) in recorded {
         match sample {
@@ -49,7 +53,7 @@ fn clocks_that_are_seconds_or_an_hour_apart_accuse_nothing_else() {
         let mut early = samples.clone();
         early.imu.iter_mut().for_each(|s| shift(&mut s.stamp, -seconds));
         for (samples, key) in [(late, "climber/transform"), (early, "clock.imu")] {
-            let report = check(&samples, &rig, 0.0, None).unwrap();
+            let report = check(&samples, &rig, Clocks::default(), None).unwrap();
             let keys: Vec<&str> = report.findings.iter().map(|f| f.key.as_str()).collect();
             assert_eq!(keys, [key], "{seconds}");
         }
@@ -70,7 +74,7 @@ fn an_imu_that_repeats_one_value_is_what_is_wrong() {
         let mut stuck = samples.clone();
         let first = stuck.imu[0];
         stuck.imu.iter_mut().for_each(|s| change(s, &first));
-        let report = check(&stuck, &rig, 0.0, None).unwrap();
+        let report = check(&stuck, &rig, Clocks::default(), None).unwrap();
         let keys: Vec<String> = report.findings.iter().map(|f| f.key.clone()).collect();
         assert_eq!(keys, sensors.iter().map(|s| format!("imu.{s}")).collect::<Vec<_>>());
     }
@@ -108,7 +112,7 @@ fn images_decide_between_the_units_of_a_layout_with_small_markers() {
     let right = rig.markers.centers;
     rig.markers.side = 0.025;
     rig.markers.centers.0.iter_mut().for_each(|c| c.coords *= 100.0);
-    let found = check(&samples, &rig, 0.0, None).unwrap().findings;
+    let found = check(&samples, &rig, Clocks::default(), None).unwrap().findings;
     assert!(found.len() == 1 && found[0].blocks, "{found:?}");
     assert!(found[0].text.contains("in millimeters or centimeters instead"), "{found:?}");
     let is_right = |layout: &MarkerLayout| (layout.centers.0[0] - right.0[0]).norm() < 1e-6;
@@ -142,7 +146,7 @@ fn some_wrong_images_accuse_nobody() {
                 marker.centroid += Vector2::new(off, 0.0);
             }
         }
-        let report = check(&samples, &rig, 0.0, None).unwrap();
+        let report = check(&samples, &rig, Clocks::default(), None).unwrap();
         assert!(report.findings.is_empty(), "{seed}: {:?}", report.findings);
     }
 }
@@ -168,7 +172,7 @@ fn repeated_and_invalid_messages_are_left_out() {
     let repaired = Recording::new(&wrong).unwrap();
     assert_eq!((&repaired.imu, &repaired.climber), (&right.imu, &right.climber));
     assert_eq!(repaired.shots.len(), right.shots.len());
-    let report = check(&wrong, &rig, 0.0, None).unwrap();
+    let report = check(&wrong, &rig, Clocks::default(), None).unwrap();
     // Only the unset stamp is named.
     let keys: Vec<&str> = report.findings.iter().map(|f| f.key.as_str()).collect();
     assert_eq!(keys, ["volant/imu/data"]);
@@ -180,7 +184,7 @@ fn a_step_of_the_clock_accuses_nothing_else() {
         let (mut samples, rig) = recorded();
         let half = samples.imu.len() / 2;
         samples.imu[half..].iter_mut().for_each(|s| shift(&mut s.stamp, seconds));
-        let report = check(&samples, &rig, 0.0, None).unwrap();
+        let report = check(&samples, &rig, Clocks::default(), None).unwrap();
         let found: Vec<_> = report.findings.iter().map(|f| (f.key.as_str(), f.verdict)).collect();
         assert_eq!(found, [("volant/imu/data", Verdict::Wrong)], "{seconds}");
         assert!(examine_stamps(&samples)[0].blocks);
@@ -193,4 +197,23 @@ fn the_unit_of_a_mounting_is_one_that_makes_it_possible() {
     // 1 cm or 10 cm.
     assert_eq!(layout::unit_of(10.0).0, "millimeters or centimeters");
     assert_eq!(layout::unit_of(400.0).0, "millimeters");
+}
+
+#[test]
+fn a_rolling_shutter_is_named_with_its_readout_time() {
+    for readout in [0.012, -0.02] {
+        let (samples, rig) =
+            recorded_with(SensorConfig { image_readout: readout, ..SensorConfig::nominal(1) });
+        let report = |image_readout: f64| {
+            let clocks = Clocks { image_readout, ..Clocks::default() };
+            check(&samples, &rig, clocks, None).unwrap()
+        };
+        let found = report(0.0);
+        let keys: Vec<&str> = found.findings.iter().map(|f| f.key.as_str()).collect();
+        assert_eq!(keys, ["clock.image_readout"], "{:?}", found.findings);
+        let row = found.rows.iter().find(|row| row.name == "clock.image_readout").unwrap();
+        assert!((row.estimate - 1e3 * readout).abs() < 1.0, "{row:?}");
+        let right = report(readout);
+        assert!(right.findings.is_empty(), "{:?}", right.findings);
+    }
 }

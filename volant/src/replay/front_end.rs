@@ -66,6 +66,11 @@ impl FrontEnd {
         }
     }
 
+    /// Why the last image shows no marker, where none of the images does.
+    pub fn why_no_marker(&self) -> Option<String> {
+        self.tracker.why_not_found().filter(|_| self.counts.detected == 0)
+    }
+
     /// Converts the next item of a bag.
     pub fn handle(&mut self, fed: Fed) -> Vec<Sample> {
         match fed {

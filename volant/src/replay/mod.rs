@@ -152,6 +152,7 @@ fn why_silent(pipeline: &Pipeline, losses: &[String]) -> String {
         return warning;
     }
     let cause = losses.first().cloned().or_else(|| pipeline.findings().into_iter().next());
+    let cause = cause.or_else(|| pipeline.why_no_marker());
     if let Some(cause) = cause {
         return format!("{missing}; {cause}");
     }

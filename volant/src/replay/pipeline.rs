@@ -120,6 +120,10 @@ impl Pipeline {
     }
 
     /// What the filter waits for; empty where there is an estimate.
+    pub(super) fn why_no_marker(&self) -> Option<String> {
+        self.front_end.why_no_marker()
+    }
+
     pub(super) fn missing(&self) -> String {
         self.fusion.missing()
     }
