@@ -17,7 +17,7 @@ use volant_test::{
 };
 
 /// Faults of the short form; `make checks` has all of them, on recordings too.
-const KINDS: [&str; 15] = [
+const KINDS: [&str; 16] = [
     "camera tilt 2°",
     "camera yaw 180°",
     "focal length +20 %",
@@ -32,6 +32,7 @@ const KINDS: [&str; 15] = [
     "turn in degrees",
     "turn reversed",
     "encoder stamps + 0.2 s",
+    "rolling shutter of 20 ms",
     "two climbers on one topic",
 ];
 

@@ -4,6 +4,7 @@
 use crate::robustness::perturbation::{self, Perturbation as P, each_camera, each_imu};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use pose_fusion::Input;
+use rig_calibration::Samples;
 use rig_model::{CameraModel, ClimberSample, Distortion, Rig};
 use rig_simulator::recording::Recording;
 
@@ -167,6 +168,10 @@ pub const FAULTS: &[Fault] = &[
     late("IMU stamps - 1 s", |r| imu_late(r, -1.0), "imu", -1000.0),
     late("encoder stamps + 0.2 s", |r| P::EncoderDelay(0.2).apply(r), "climber clock", -200.0),
     late("encoder stamps - 0.2 s", |r| P::EncoderDelay(-0.2).apply(r), "climber clock", 200.0),
+    Fault {
+        offset: Some(("clock.image_readout", 20.0, 2.0)),
+        ..fault("rolling shutter of 20 ms", rolling_shutter, &["clock.image_readout"])
+    },
     fault("every IMU sample twice", |r| P::ImuTwice.apply(r), &["volant/imu"]),
     fault("two climbers on one topic", two_climbers, &["climber/transform"]),
 ];
@@ -234,6 +239,23 @@ fn moved(sample: &mut ClimberSample, change: &mut impl FnMut(&mut Vector3<f64>, 
 /// Changes position and turn of each climber pose.
 fn each_climber(r: &mut Recording, mut change: impl FnMut(&mut Vector3<f64>, &mut f64)) {
     perturbation::each_climber(r, |sample| moved(sample, &mut change));
+}
+
+/// Each marker is seen 20 ms times its share of the image's height later.
+fn rolling_shutter(r: &mut Recording) {
+    let Some(camera) = r.camera().cloned() else { return };
+    let markers = r.inputs.iter().filter_map(|(_, input)| match input {
+        Input::Markers(m) => Some(m.clone()),
+        _ => None,
+    });
+    let mut samples = Samples { camera, markers: markers.collect(), imu: vec![], climber: vec![] };
+    samples.at_one_time(-0.02);
+    let mut late = samples.markers.into_iter();
+    for (_, input) in &mut r.inputs {
+        if let Input::Markers(markers) = input {
+            *markers = late.next().unwrap_or_else(|| markers.clone());
+        }
+    }
 }
 
 /// A second rig publishes on the same topic, elsewhere on the rails.
