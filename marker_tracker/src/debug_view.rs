@@ -13,6 +13,8 @@ pub enum Outcome {
     NoPatch,
     /// What has its color is not where the layout has the marker beside the others.
     NotInLayout,
+    /// What has its color could be in several poses of the platform.
+    Ambiguous,
     /// What has its color, where the layout has the marker, is not bounded by four straight edges.
     NoOutline,
     /// Detected: all four edges were measured, or a region of the whole square's area.
@@ -40,6 +42,7 @@ impl Outcome {
             Self::NotFound => "not found",
             Self::NoPatch => "nothing of its color in the image",
             Self::NotInLayout => "what has its color is not where the layout has it",
+            Self::Ambiguous => "what has its color could be in several poses",
             Self::NoOutline => "what has its color is no square with four visible edges",
             Self::Whole => "whole",
             Self::PartlyCovered => "partly covered, measured by its other edges",
@@ -90,33 +93,38 @@ pub struct SignalView {
 
 /// Explains from the outcomes of the search why the markers were not found, with a remedy.
 pub(crate) fn why_not_found(outcomes: &PerColor<Outcome>) -> Option<String> {
-    let colors_of = |outcome: Outcome| -> Vec<&str> {
-        outcomes.iter().filter(|(_, o)| **o == outcome).map(|(color, _)| color.name()).collect()
+    let colors_of = |outcome: Outcome| {
+        let of = outcomes.iter().filter(|(_, o)| **o == outcome).map(|(color, _)| color.name());
+        of.collect::<Vec<&str>>().join(", ")
     };
-    let (absent, elsewhere) = (colors_of(Outcome::NoPatch), colors_of(Outcome::NotInLayout));
-    let unclear = colors_of(Outcome::NoOutline);
-    if absent.len() > 1 {
-        // It takes three.
-        let absent = absent.join(", ");
-        Some(format!(
-            "nothing has the color of {absent}; if they are in view, calibrate the colors \
-             (`volant calibrate colors`)"
-        ))
-    } else if !unclear.is_empty() {
-        let unclear = unclear.join(", ");
-        Some(format!(
-            "what has the color of {unclear} is no square with four visible edges: look for \
-             something in front of it, for a thing of its color against it, and for highlights"
-        ))
-    } else if !elsewhere.is_empty() {
-        let elsewhere = elsewhere.join(", ");
-        Some(format!(
-            "what has the color of {elsewhere} is not arranged as the markers are: check their \
-             places in the rig file, and camera_info"
-        ))
-    } else {
-        None
+    let count_of = |outcome: Outcome| outcomes.0.iter().filter(|o| **o == outcome).count();
+    let absent = colors_of(Outcome::NoPatch);
+    let nothing = format!(
+        "nothing has the color of {absent}; if the markers are in view, check the light and \
+         calibrate the colors (`volant calibrate colors`)"
+    );
+    // Three markers are enough to find them.
+    if count_of(Outcome::NoPatch) > 1 {
+        return Some(nothing);
     }
+    let why = if count_of(Outcome::NoOutline) > 0 {
+        format!(
+            "what has the color of {} is no square of `markers.size` with four visible edges: look \
+             for something in front of it, for a thing of its color against it, and for highlights",
+            colors_of(Outcome::NoOutline)
+        )
+    } else if count_of(Outcome::NotInLayout) > 0 {
+        format!(
+            "what has the color of {} is not arranged as the markers are: if they are in view, \
+             check `markers` in the rig file, camera_info and the colors (`volant calibrate colors`)",
+            colors_of(Outcome::NotInLayout)
+        )
+    } else if count_of(Outcome::Ambiguous) > 0 {
+        format!("what has the color of {} could be in several poses", colors_of(Outcome::Ambiguous))
+    } else {
+        return None;
+    };
+    Some(if absent.is_empty() { why } else { format!("{why}; {nothing}") })
 }
 
 #[cfg(test)]
@@ -128,7 +136,10 @@ mod tests {
         use Outcome::{NoOutline, NoPatch, NotFound, NotInLayout};
         for (outcomes, wanted) in [
             ([NoPatch, NotInLayout, NoPatch, NotInLayout], Some("color of red, blue; if")),
-            ([NoPatch, NotInLayout, NotInLayout, NotInLayout], Some("green, blue, yellow is not")),
+            (
+                [NoPatch, NotInLayout, NotInLayout, NotInLayout],
+                Some("green, blue, yellow is not arranged"),
+            ),
             ([NotInLayout, NoOutline, NotInLayout, NotInLayout], Some("of green is no square")),
             ([NotFound; 4], None),
         ] {

@@ -243,7 +243,7 @@ impl NodeShell for FusionNode {
         } else if imu_age > limit {
             let why = self.rejections.unusable().map(str::to_owned);
             let text = if imu_age.is_finite() {
-                format!("no IMU sample for {imu_age:.1} s")
+                format!("no usable IMU sample for {imu_age:.1} s")
             } else {
                 format!("no message on {}", topics::IMU)
             };

@@ -21,7 +21,7 @@ pub struct Samples {
 
 impl Samples {
     /// Moves the markers to where they are in the middle of the exposure of a rolling shutter that
-    /// takes `readout` s from the first row to the last.
+    /// takes `readout` s from the first row to the last. The samples are in order ([`Samples::repair`]).
     pub fn at_one_time(&mut self, readout: f64) {
         if readout == 0.0 {
             return;
@@ -36,7 +36,7 @@ impl Samples {
 
     /// Sorts each topic by its stamps; removes messages that are repeated, have no stamp or are not
     /// finite, which the filter rejects, too.
-    pub(crate) fn repair(&mut self) {
+    pub fn repair(&mut self) {
         fn in_order<T>(list: &mut Vec<T>, stamp: fn(&T) -> Stamp) {
             list.retain(|s| !stamp(s).is_unset());
             list.sort_by_key(stamp);
@@ -61,19 +61,23 @@ impl Samples {
 /// its share of the readout before or after the middle one. 0 where the image velocity is unknown.
 fn by_readout(markers: &[MarkerObservations], camera: &CameraModel) -> Vec<[Vector2<f64>; 4]> {
     /// Longest time between two images from which a velocity is computed, s.
-    const LONGEST: f64 = 0.2;
+    const LONGEST: f64 = 0.35;
     let height = f64::from(camera.size().1);
     let seen = |k: usize, color: usize| {
         let marker = &markers[k].markers.0[color];
         (marker.state == MarkerState::Detected).then_some(marker.centroid)
     };
     let moved = |k: usize, color: usize| {
-        let (from, to) = (k.checked_sub(1)?, k + 1);
-        let to = (to < markers.len()).then_some(to)?;
-        let dt = markers[to].stamp.seconds_since(markers[from].stamp);
-        let velocity = (seen(to, color)? - seen(from, color)?) / dt;
         let late = seen(k, color)?.y / height - 0.5;
-        (dt > 0.0 && dt < LONGEST).then_some(velocity * late)
+        let between = |from: usize, to: usize| {
+            let dt = markers[to].stamp.seconds_since(markers[from].stamp);
+            let moved = seen(to, color)? - seen(from, color)?;
+            (dt > 0.0 && dt < LONGEST).then(|| moved * (late / dt))
+        };
+        // At an end, and beside an image without the marker, from one neighbor.
+        let before = k.saturating_sub(1);
+        let after = (k + 1).min(markers.len() - 1);
+        between(before, after).or_else(|| between(before, k)).or_else(|| between(k, after))
     };
     let of_image = |k: usize| [0, 1, 2, 3].map(|color| moved(k, color).unwrap_or_default());
     (0..markers.len()).map(of_image).collect()

@@ -179,10 +179,11 @@ pub fn refine_from_bag(
         // The same in each round.
         losses.truncate(known);
         let mut samples = read(bag, &seen_with, true, losses)?;
-        samples.at_one_time(cores.fusion.tight.clock.image_readout);
         if let Some(finding) = examine_stamps(&samples).iter().find(|f| f.blocks) {
             bail!("{}: {}; {}", bag.display(), finding.text, finding.remedy);
         }
+        samples.repair();
+        samples.at_one_time(cores.fusion.tight.clock.image_readout);
         let estimate = Recording::new(&samples)
             .and_then(|recording| refine_rig(&recording, &cores.rig, held))
             .with_context(|| format!("{}", bag.display()))?;

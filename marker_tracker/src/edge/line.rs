@@ -53,10 +53,21 @@ pub(crate) struct EdgeFit {
     pub shade: f64,
     /// Mean light beyond the band, in units of that inside.
     pub light_outside: f64,
-    /// Whether a thing beside the marker may have moved the edge: the others and the shape count.
+    /// Whether a thing beside the marker may have moved the edge, so that the other edges and the
+    /// known shape have to correct it. (It still counts as seen: a shadow looks alike.)
     pub moved: bool,
+    /// Part of the offset's variance that is due to what is beside the marker, px².
+    pub beside: f64,
     /// Σ rᵢ² and Σ rᵢ·rᵢ₊₁ of the rows' residuals, px².
     pub lag: [f64; LAGS],
+}
+
+impl EdgeFit {
+    /// Adds an error of the offset with this standard deviation, px, for what is beside the marker.
+    pub fn widen(&mut self, sigma: f64) {
+        self.beside += sigma * sigma;
+        self.covariance[(0, 0)] += sigma * sigma;
+    }
 }
 
 /// Places of an edge on its rows: distance along it, and outside of the prediction, px.

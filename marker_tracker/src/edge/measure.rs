@@ -121,7 +121,7 @@ fn attempt(
     };
     (edge.blur, edge.outside, edge.shade) = (crossings.blur, outside.level, crossings.shade);
     edge.light_outside = f64::from(rows.light_outside[..count].iter().sum::<f32>())
-        / (count as f64 * interior.light);
+        / (count as f64 * interior.light.max(1e-3));
     // The outside level's error moves the whole edge, by the outer share of the band; that of its
     // tilt turns the edge.
     let outer = 0.5 * f64::from(plan.band) * plan.steep;

@@ -118,7 +118,7 @@ impl Levels {
         for (edge, _) in edges.iter_mut().zip(foreign).filter(|(_, f)| *f) {
             if let Some(e) = edge {
                 e.foreign = true;
-                e.covariance[(0, 0)] += Self::FOREIGN_SIGMA * Self::FOREIGN_SIGMA;
+                e.widen(Self::FOREIGN_SIGMA);
             }
         }
     }

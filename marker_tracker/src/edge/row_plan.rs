@@ -175,7 +175,8 @@ impl RowPlan {
         nearest(crossing.place - f64::from(self.band - 1) / 2.0)
     }
 
-    /// Pixels of the band that lie inside of the predicted edge, to half a pixel.
+    /// Pixels of the band that lie inside of the predicted edge; the middle one of an odd number
+    /// counts half.
     pub fn inner_pixels(&self) -> f32 {
         self.band as f32 / 2.0
     }

@@ -9,7 +9,7 @@ const NEARLY_BLACK: f64 = 12.0;
 const NEARLY_WHITE: f64 = 243.0;
 
 /// Level and message of the node's status; `uses_camera`: whether the method needs a camera model;
-/// `why`: the markers were not found in the last image.
+/// `why`: the reason why the markers were not found in the last image.
 pub(super) fn assess(
     stages: &Stages,
     camera: Option<&CameraModel>,

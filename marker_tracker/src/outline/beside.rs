@@ -23,19 +23,27 @@ pub(super) fn widen(edges: &mut Edges) {
     let border = border(edges);
     for edge in edges.iter_mut().flatten() {
         let excess = (edge.shade - border - NOISE).max(0.0);
-        edge.covariance[(0, 0)] += (EVEN * excess).powi(2);
+        edge.widen(EVEN * excess);
     }
 }
 
 /// Marks the edges of which the shade is not a shadow's, and widens their covariance, where each
 /// pixel is divided by its light: beside them lies another surface than beside the others, or the
-/// light is the same on both sides of a shade. (So it is of a thin shadow, too.)
+/// light is the same on both sides of a shade. (A thin shadow cannot be told from that.)
 ///
 /// `inside`: level of the marker; `half_width`: of the band, px.
 pub(super) fn mark_moved(edges: &mut Edges, inside: f64, half_width: f64) {
-    let mut levels: Vec<f64> = edges.iter().flatten().map(|e| e.outside).collect();
+    let mut levels = [f64::INFINITY; 4];
+    let mut count = 0;
+    for edge in edges.iter().flatten() {
+        levels[count] = edge.outside;
+        count += 1;
+    }
+    if count == 0 {
+        return;
+    }
     levels.sort_unstable_by(f64::total_cmp);
-    let Some(&usual) = levels.get(levels.len() / 2) else { return };
+    let usual = (levels[(count - 1) / 2] + levels[count / 2]) / 2.0;
     let border = border(edges);
     for edge in edges.iter_mut().flatten() {
         let excess = edge.shade - border;
@@ -44,7 +52,8 @@ pub(super) fn mark_moved(edges: &mut Edges, inside: f64, half_width: f64) {
         let other = (edge.outside - usual).abs() > Levels::FOREIGN * (inside - usual).abs();
         if other || excess > SHADE + shadow {
             edge.moved = true;
-            edge.covariance[(0, 0)] += Levels::FOREIGN_SIGMA.powi(2) + (BY_PIXEL * excess).powi(2);
+            let place = if edge.foreign { 0.0 } else { Levels::FOREIGN_SIGMA };
+            edge.widen(place.hypot(BY_PIXEL * excess));
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Combination of four edges with the prior knowledge of the square's shape.
 
-use crate::edge::{EdgeFit, Levels, ShapePrior, Side};
+use crate::edge::{EdgeFit, ShapePrior, Side};
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
 type Edges = [Option<EdgeFit>; 4];
@@ -85,7 +85,7 @@ fn leave_out_a_cover(sides: &[Side; 4], edges: &mut Edges, prior: &ShapePrior) {
     }
     let Some(estimate) = solve(sides, &others, prior) else { return };
     let expected = sides[i].normal.dot(&estimate.shift) + prior.edge_bias[i % 2];
-    let rows = (edge.covariance[(0, 0)] - Levels::FOREIGN_SIGMA.powi(2)).max(0.0);
+    let rows = (edge.covariance[(0, 0)] - edge.beside).max(0.0);
     if edge.offset - expected < -COVERED * (prior.tolerance.edge.powi(2) + rows).sqrt() {
         *edges = others;
     }

@@ -100,12 +100,13 @@ fn finish(
             tangent * (length.powi(3) / (12.0 * a)),
         ])
     });
-    let mut covariance = Matrix2::zeros();
+    let (mut covariance, mut beside) = (Matrix2::zeros(), Matrix2::zeros());
     match &estimate.covariance {
         None => {
             for (b, e) in by.iter().zip(&edges) {
                 if let Some(e) = e {
                     covariance += b * e.covariance * b.transpose();
+                    beside += b.column(0) * e.beside * b.column(0).transpose();
                 }
             }
         }
@@ -132,6 +133,7 @@ fn finish(
         quad,
         centroid,
         covariance: (covariance + covariance.transpose()) * 0.5,
+        beside,
         area: a,
         edges,
         gradient: interior.gradient,
@@ -152,6 +154,8 @@ pub(crate) struct QuadFit {
     pub centroid: Vector2<f64>,
     /// Of the centroid, px².
     pub covariance: Matrix2<f64>,
+    /// Part of it that is due to what is beside the marker, where all edges were measured well.
+    pub beside: Matrix2<f64>,
     /// px².
     pub area: f64,
     /// Per edge; `None` where it was not measured.

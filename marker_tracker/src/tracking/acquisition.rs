@@ -202,7 +202,12 @@ impl Verification<'_, '_> {
                 return best;
             }
         }
-        best.filter(|b| b.count == 4 || !ambiguous)
+        if ambiguous && let Some(found) = best.take_if(|b| b.count < 4) {
+            for color in MarkerColor::ALL.into_iter().filter(|c| found.markers[*c].is_some()) {
+                outcomes[color] = Outcome::Ambiguous;
+            }
+        }
+        best
     }
 
     /// Measures the outlines of one hypothesis and refines its pose. Notes which were `measured`.
@@ -229,10 +234,8 @@ impl Verification<'_, '_> {
             let Some(fit) = self.measure(color, &appearance, &predicted) else { continue };
             measured[color] = true;
             appearance.adapt(self.image, &fit.quad, 1.0);
-            let turn = self.platform.turn_of(color, &start, &fit)?;
-            if turn.abs() > MAX_TURN {
-                continue;
-            }
+            let turn = self.platform.turn_of(color, &start, &fit);
+            let Some(turn) = turn.filter(|turn| turn.abs() <= MAX_TURN) else { continue };
             let centroid = fit.centroid;
             markers[color] =
                 Some(AcquiredMarker { appearance, turn, half_width: fit.half_width(), centroid });

@@ -157,6 +157,7 @@ impl EdgeHistory {
             let rows = if self.gradient.is_some() { ONE_PASS_ROWS } else { KNOWN.rows };
             let tolerance = Tolerance { half_width, gradient: self.gradient, rows, ..KNOWN };
             let fit = meter.measure(sampler, predicted, tolerance).filter(QuadFit::is_whole)?;
+            // Things beside the marker need the wide pass, too.
             let certain = fit.covariance.trace() < 2.0 * Self::ONE_PASS_SIGMA.powi(2);
             let within = fit.half_width() + fit.miss - Self::ACQUISITION_MISS <= half_width;
             (certain && within).then_some(fit)

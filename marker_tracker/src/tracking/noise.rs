@@ -91,7 +91,8 @@ impl NoiseModel {
             observations[color.index()] =
                 PoseObservation { color, pixel: fit.centroid, sigma, outline: None };
             // Without the excess itself.
-            covariances[color.index()] = fit.covariance * (self.correlation() / fit.inflation);
+            let rows = fit.covariance - fit.beside;
+            covariances[color.index()] = rows * (self.correlation() / fit.inflation) + fit.beside;
         }
         let refined = platform.geometry(view.camera).refine(&observations, &view.pose, None, 4);
         let Some((best, _)) = refined else { return };

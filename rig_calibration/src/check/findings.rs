@@ -372,15 +372,23 @@ fn finding(
             format!("the IMU's stamps are {:+.1} ms from the images'", of(0)),
             "synchronize the clocks, or stamp the images at mid-exposure",
         ),
-        Cause::Readout => (
-            format!(
-                "the camera has a rolling shutter of {:.1} ms from the first row to the last, and \
-                 clock.image_readout is {} s",
-                of(0) + group.unit.1 * file.readout,
-                file.readout
-            ),
-            "correct clock.image_readout in pose_fusion's parameters, or use a global shutter",
-        ),
+        Cause::Readout => {
+            let readout = file.readout + total(group.first);
+            if readout.abs() < group.sizes[0] {
+                let text = format!(
+                    "the images show no rolling shutter, but clock.image_readout is {} s",
+                    file.readout
+                );
+                (text, "set clock.image_readout of pose_fusion to 0")
+            } else {
+                let text = format!(
+                    "the camera has a rolling shutter: it takes {readout:.4} s from the first row to \
+                     the last, and clock.image_readout is {} s",
+                    file.readout
+                );
+                (text, "set clock.image_readout of pose_fusion to it, or use a global shutter")
+            }
+        }
     };
     if !alternatives.is_empty() {
         let names: Vec<&str> = alternatives.iter().map(|c| name(*c)).collect();

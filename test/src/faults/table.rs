@@ -217,7 +217,7 @@ pub fn table() -> Vec<Row> {
             "kill -9 imu_driver, started 3 s later",
             "imu_driver",
             Stops,
-            fusion(&["no IMU sample for"]),
+            fusion(&["no usable IMU sample for"]),
         ),
         killed(
             "kill -9 climber_driver, started 3 s later",
@@ -238,7 +238,12 @@ pub fn table() -> Vec<Row> {
             Gaps,
             fusion(&["stalled for", "restarted"]),
         ),
-        stalled("imu_driver stalled for 3 s", "imu_driver", Stops, fusion(&["no IMU sample for"])),
+        stalled(
+            "imu_driver stalled for 3 s",
+            "imu_driver",
+            Stops,
+            fusion(&["no usable IMU sample for"]),
+        ),
         stalled(
             "climber_driver stalled for 3 s",
             "climber_driver",

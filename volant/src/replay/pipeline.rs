@@ -119,11 +119,12 @@ impl Pipeline {
         self.rig_check.findings(&self.fusion.status())
     }
 
-    /// What the filter waits for; empty where there is an estimate.
+    /// Why the last image shows no marker, where none of the images does.
     pub(super) fn why_no_marker(&self) -> Option<String> {
         self.front_end.why_no_marker()
     }
 
+    /// What the filter waits for; empty where there is an estimate.
     pub(super) fn missing(&self) -> String {
         self.fusion.missing()
     }

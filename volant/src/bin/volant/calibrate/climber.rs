@@ -2,7 +2,7 @@
 
 use super::Output;
 use crate::{settings::BagTopics, terminal};
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use bag::recording::read_messages;
 use nalgebra::{UnitQuaternion, Vector3};
 use node_kit::{convert, outln};
@@ -169,6 +169,7 @@ fn live(arguments: &Arguments, rig: &Rig, present: &ParameterMap) -> Result<Clim
             absolute::COMPRESSED_IMAGE
         );
     }
+    ensure!(recorded.messages > 0, "no message was recorded; jog the climber while it records");
     from_bag(recorded.path(), arguments, &TopicNames::default(), rig, present)
 }
 
