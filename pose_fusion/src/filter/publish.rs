@@ -62,6 +62,8 @@ pub(super) struct Publisher {
     /// Newest instant of the inputs, IMU time.
     now: Option<Stamp>,
     last_published: Option<Stamp>,
+    /// `now` when it was published: the encoders' clock may be ahead of the IMU's.
+    published_now: Option<Stamp>,
     /// IMU time of the newest encoder reading that was used.
     pub(super) last_encoders: Option<Stamp>,
     pub(super) markers_used: u8,
@@ -209,6 +211,7 @@ impl Filter {
         });
         self.publisher.position_sigma = position_sigma;
         self.publisher.last_published = Some(end);
+        self.publisher.published_now = self.publisher.now;
         self.publisher.silence.awaited = None;
         self.publisher.silence.imu_lost &= silent;
         self.publisher.silence.resumed = None;
@@ -267,7 +270,7 @@ impl Filter {
 
     /// Returns the time since the newest odometry, or since there was no pose, s.
     fn silence(&self, now: Stamp) -> f64 {
-        let last_output = self.publisher.silence.awaited.or(self.publisher.last_published);
+        let last_output = self.publisher.silence.awaited.or(self.publisher.published_now);
         last_output.map_or(f64::INFINITY, |last| now.seconds_since(last))
     }
 

@@ -31,6 +31,18 @@ fn the_status_reports_that_only_encoder_readings_arrive() {
     assert!(again.is_some_and(|t| t < 5.3), "{again:?}");
 }
 
+/// The encoders' clock is ahead by longer than a pose may be missing.
+#[test]
+fn encoders_from_the_future_are_no_silence_of_the_others() {
+    let ahead = SensorConfig { climber_clock_ahead: 0.5, ..SensorConfig::nominal(3) };
+    let run = simulated::run(MotionConfig { duration: 8.0, ..MotionConfig::nominal(3) }, &ahead);
+    let outputs = scoring::follow(simulated::config(), run.inputs()).1;
+    assert!(outputs.odometry.len() > 600, "{}", outputs.odometry.len());
+    let silent = "no usable IMU sample and no image";
+    let silent = outputs.status.iter().filter(|s| s.reason.contains(silent)).count();
+    assert_eq!(silent, 0, "of {}", outputs.status.len());
+}
+
 /// The computer of camera and IMU is off for half a minute.
 #[test]
 fn half_a_minute_with_encoder_readings_alone_costs_no_knowledge() {
