@@ -197,7 +197,7 @@ impl RigError {
     }
 }
 
-/// Checks that colors tell the markers apart: each has a hue, different from the others'.
+/// Checks that colors distinguish the markers: each has a hue, different from the others'.
 ///
 /// # Errors
 /// [`RigError`] with the key of a color that does not.

@@ -1,5 +1,5 @@
-//! Edges that a thing beside the marker (a border of the paper on one side, tape, the platform's rim)
-//! may have moved. A border all around moves all four alike and the centroid not at all.
+//! Edges that a thing beside the marker (a border of the paper on one side, tape, the platform's
+//! rim) may have moved. A border all around moves all four alike and the centroid not at all.
 
 use crate::edge::{EdgeFit, Levels, SHADE};
 
@@ -13,8 +13,9 @@ const NOISE: f64 = 0.06;
 const EVEN: f64 = 1.5;
 const BY_PIXEL: f64 = 0.7;
 
-/// Shade that all four edges have, px: 0 where one was not measured.
-fn border(edges: &Edges) -> f64 {
+/// Shade that all four edges have in common, px: that of a border of the paper; 0 where an edge was
+/// not measured.
+pub(super) fn border(edges: &Edges) -> f64 {
     edges.iter().map(|e| e.map_or(0.0, |e| e.shade)).fold(f64::INFINITY, f64::min)
 }
 
@@ -29,7 +30,7 @@ pub(super) fn widen(edges: &mut Edges) {
 
 /// Marks the edges of which the shade is not a shadow's, and widens their covariance, where each
 /// pixel is divided by its light: beside them lies another surface than beside the others, or the
-/// light is the same on both sides of a shade. (A thin shadow cannot be told from that.)
+/// light is the same on both sides of a shade. Thin shadows are marked, too: they look alike.
 ///
 /// `inside`: level of the marker; `half_width`: of the band, px.
 pub(super) fn mark_moved(edges: &mut Edges, inside: f64, half_width: f64) {

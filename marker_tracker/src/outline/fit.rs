@@ -230,9 +230,8 @@ impl QuadFit {
     ///
     /// What all four edges have in common is a border of the paper, not a shadow.
     pub fn is_shaded(&self) -> bool {
-        let shade = |e: &Option<EdgeFit>| e.map_or(0.0, |e| e.shade);
-        let border = self.edges.iter().map(shade).fold(f64::INFINITY, f64::min);
-        self.edges.iter().any(|e| shade(e) > border + SHADE)
+        let border = beside::border(&self.edges);
+        self.edges.iter().flatten().any(|e| e.shade > border + SHADE)
     }
 
     /// Standard deviation of the centroid per axis, px.

@@ -216,4 +216,8 @@ fn a_rolling_shutter_is_named_with_its_readout_time() {
         let right = report(readout);
         assert!(right.findings.is_empty(), "{:?}", right.findings);
     }
+    let (samples, rig) = recorded();
+    let clocks = Clocks { image_readout: 0.02, ..Clocks::default() };
+    let found = check(&samples, &rig, clocks, None).unwrap().findings;
+    assert!(found.len() == 1 && found[0].text.contains("show no rolling shutter"), "{found:?}");
 }

@@ -237,7 +237,7 @@ pub fn play(
 /// Checks the remapped topics against the publishers and subscribers discovered so far.
 ///
 /// # Errors
-/// One of them has another type, so nobody would receive the messages.
+/// One of them has another type, so that its subscribers do not receive the messages.
 fn check_types(participant: &DomainParticipant, remapped: &[Topic]) -> Result<()> {
     if remapped.is_empty() {
         return Ok(());
