@@ -4,7 +4,10 @@ use super::Filter;
 use crate::{
     ekf::{consider::TIME_OFFSET_ERROR, state::State},
     health::{
-        pose_status::{CONTRADICTED_REASON, NO_IMU_SAMPLE, PoseState, PoseStatus, StatusTimer},
+        pose_status::{
+            CONTRADICTED_REASON, NO_IMU_SAMPLE, PoseState, PoseStatus, StatusTimer,
+            UNCONFIRMED_REASON,
+        },
         status::Counts,
     },
     measurements::{
@@ -236,7 +239,12 @@ impl Filter {
         if let Some(wrong) = self.trust.directions.wrong() {
             return Some(format!("images and IMU contradict the encoders: {wrong}").into());
         }
-        self.monitor.is_contradicted(camera).then_some(CONTRADICTED_REASON.into())
+        if self.monitor.is_contradicted(camera) {
+            return Some(CONTRADICTED_REASON.into());
+        }
+        let [image_age, ..] = self.ages(at);
+        (image_age > self.setup.status.max_image_age && self.monitor.is_unconfirmed())
+            .then_some(UNCONFIRMED_REASON.into())
     }
 
     /// Returns the outputs that wait to be taken.

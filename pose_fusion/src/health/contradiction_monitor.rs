@@ -29,6 +29,9 @@ const CONTRADICTED: f64 = 3.0;
 /// adopted) must hold for this time before it may be used, s: encoders whose turn is in degrees
 /// contradict the adopted pose within it.
 const REPLACED: f64 = 1.0;
+/// Images must have confirmed a pose for this long after a response before it may be used without
+/// images, s: velocity, tilt and biases are what the response changed, and drift from there.
+const CONFIRMED: f64 = 0.5;
 
 /// Response of the filter to an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -166,6 +169,14 @@ impl ContradictionMonitor {
             || matches!(self.responses, [Some(first), _, Some(last)]
             if last.seconds_since(first) < CONTRADICTED && now.seconds_since(last) < CONTRADICTED)
     }
+
+    /// Returns whether the newest images were used so shortly after the filter responded to a
+    /// contradiction that they have not confirmed the pose.
+    pub fn is_unconfirmed(&self) -> bool {
+        let [.., response] = self.responses;
+        let lasted = response.zip(self.last_used).map(|(at, used)| used.seconds_since(at));
+        lasted.is_some_and(|lasted| lasted.abs() < CONFIRMED)
+    }
 }
 
 #[cfg(test)]
@@ -230,6 +241,17 @@ mod tests {
         let images: [&[usize]; 6] = [&[], &[0], &[0], &[0, 2], &[], &[0]];
         let new = images.map(|rejected| monitor.rejects(image(rejected)));
         assert_eq!(new, [false, true, false, true, false, true]);
+    }
+
+    #[test]
+    fn a_pose_is_unconfirmed_until_images_were_used_for_half_a_second_after_a_response() {
+        let mut monitor = initialized();
+        assert!(!monitor.is_unconfirmed());
+        monitor.responded(at(1000));
+        for (ms, unconfirmed) in [(1033, true), (1490, true), (1510, false), (400, false)] {
+            monitor.last_used = Some(at(ms));
+            assert_eq!(monitor.is_unconfirmed(), unconfirmed, "{ms} ms");
+        }
     }
 
     #[test]

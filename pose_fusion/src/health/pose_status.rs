@@ -8,6 +8,9 @@ pub const NO_IMU_SAMPLE: &str = "no usable IMU sample";
 /// Reason of a pose that images contradict again and again.
 pub const CONTRADICTED_REASON: &str = "images contradict the IMU or the encoders: check units, \
                             signs, orientations and frames (`volant check` names the cause)";
+/// Reason of a pose without images that they contradicted shortly before.
+pub const UNCONFIRMED_REASON: &str =
+    "no image used, and the last ones contradicted the IMU or the encoders";
 
 /// What carries the pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -136,6 +136,33 @@ fn three_seconds_without_encoders_stay_consistent() {
     }
 }
 
+/// All markers leap by 100 px, further than a shock moves them: images of a second confirm the pose
+/// that follows from it, those of 0.3 s do not.
+#[test]
+fn a_pose_that_images_just_contradicted_is_not_used_without_images() {
+    for (leap, valid) in [(f64::INFINITY, true), (5.7, false), (5.0, true)] {
+        let run = simulated::run(MotionConfig::nominal(1), &SensorConfig::nominal(1));
+        let inputs = run.timed().into_iter().filter_map(|(at, mut input)| {
+            if let Input::Markers(markers) = &mut input
+                && at > leap
+            {
+                markers.markers.0.iter_mut().for_each(|marker| marker.centroid.x += 100.0);
+            }
+            let lost = matches!(input, Input::Markers(_)) && (6.0..7.0).contains(&at);
+            (!lost).then_some(input)
+        });
+        let (_, outputs) = scoring::follow(FusionConfig::default(), inputs);
+        let start = run.recording.start();
+        let mut lost =
+            outputs.status.iter().filter(|s| (6.25..6.4).contains(&s.stamp.seconds_since(start)));
+        assert!(
+            lost.all(|s| s.valid == valid && (valid || s.reason.contains("last ones contradicted"))),
+            "leap at {leap} s: {:?}",
+            outputs.status.iter().find(|s| s.stamp.seconds_since(start) > 6.25)
+        );
+    }
+}
+
 #[test]
 fn images_from_the_future_are_rejected_with_a_reason() {
     row(
