@@ -2,7 +2,8 @@
 //! them: `make robustness`).
 #![allow(missing_docs, clippy::unwrap_used)]
 
-use pose_fusion::FusionConfig;
+use pose_fusion::{Fusion, FusionConfig};
+use rig_model::Sample;
 use rig_simulator::recording::Recording;
 use std::process::Command;
 use volant_test::{
@@ -101,6 +102,41 @@ fn two_perturbations_keep_the_pose_bounded() {
         for (first, second) in pairs() {
             assert_eq!(bench.pair(&first, &second), None, "{name}: {first}, {second}");
         }
+    }
+}
+
+/// Late or early encoders are named where the climber's speed changes quickly; early ones are those
+/// beside a camera that stamps its images late. Before, the pose was valid and wrong.
+#[test]
+fn stamps_of_encoders_and_images_that_differ_are_named() {
+    use Perturbation::EncoderDelay;
+    for name in ["real_slow", "real_fast"] {
+        let Some(recording) = recording(name) else { return };
+        let named = |inputs: &Recording| {
+            let mut fusion = Fusion::new(inputs.rig.clone(), FusionConfig::default());
+            inputs.inputs.iter().for_each(|(_, input)| {
+                fusion.handle(input.clone());
+                while fusion.poll().is_some() {}
+            });
+            fusion.status().encoders.wrong_directions.unwrap_or_default()
+        };
+        assert_eq!(named(&recording), "", "{name}");
+        for delay in [0.15, 0.4] {
+            let mut late = recording.clone();
+            EncoderDelay(delay).apply(&mut late);
+            let what = named(&late);
+            assert!(what.contains("stamps are late"), "{name}, {delay} s: {what}");
+        }
+        let mut early = recording.clone();
+        for (at, input) in &mut early.inputs {
+            if let Sample::Markers(image) = input {
+                image.stamp = image.stamp.plus_seconds(0.1);
+                *at = at.plus_seconds(0.1);
+            }
+        }
+        early.inputs.sort_by_key(|(at, _)| *at);
+        let what = named(&early);
+        assert!(what.contains("stamps are early"), "{name}: {what}");
     }
 }
 

@@ -70,6 +70,14 @@ fn rig_keeps_colors_comments_and_the_nodes_parameters() {
     assert_same_lines(&before, &place.text("refined.yaml"), &changing);
     assert_eq!(place.text("rig.yaml"), after);
     assert!(place.failed(arguments).contains("--overwrite"));
+    // Another file's value would hide the new one.
+    let own = "/pose_fusion:\n  ros__parameters:\n    imu.orientation: ";
+    fs::write(place.path("own.yaml"), format!("{own}{turned}\n")).unwrap();
+    fs::write(place.path("rig.yaml"), &before).unwrap();
+    let printed = place.failed("calibrate rig swing.mcap --rig rig.yaml --params-file own.yaml");
+    let words = ["own.yaml: sets `imu.orientation`", "overrides rig.yaml"];
+    assert!(words.iter().all(|word| printed.contains(word)), "{printed}");
+    assert_eq!(place.text("rig.yaml"), before);
 }
 
 #[test]

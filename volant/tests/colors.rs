@@ -124,7 +124,7 @@ fn what_is_no_marker_is_named_with_the_remedy() {
         put(&mut bag, topics::absolute::COMPRESSED_IMAGE, &Qos::SENSOR, stamp, &image);
     }
     bag.finish().unwrap();
-    let printed = place.done("calibrate colors in.mcap");
+    let printed = place.failed("calibrate colors in.mcap");
     assert!(printed.contains("red: not one color"), "{printed}");
     assert!(printed.contains("--rig") && !printed.contains("green: not one"), "{printed}");
 }

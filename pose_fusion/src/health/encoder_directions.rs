@@ -1,12 +1,13 @@
-//! Directions of the encoders. A rail that is reversed or exchanged with the other, a reversed turn
-//! or a camera turned about the vertical gives a pose that moves the wrong way in the world; images
-//! and IMU contradict it only while the climber's speed changes.
+//! Directions and stamps of the encoders. A rail that is reversed or exchanged with the other, a
+//! reversed turn or a camera turned about the vertical gives a pose that moves the wrong way in the
+//! world, and wrong stamps of the encoders one that lags behind; images and IMU contradict it only
+//! while the climber's speed changes.
 //!
 //! Images show where the platform is beside the climber, the IMU (its specific force integrated
 //! twice) where the platform is up to a linear drift: the difference is the climber. From one
 //! [`SPAN`] to the next its mean velocity changes by an amount that does not depend on that drift.
 //! The sums of squares of the differences from the encoders' changes show whether other directions
-//! would explain them; the turn is compared by its change within a span.
+//! or stamps would explain them; the turn is compared by its change within a span.
 
 use crate::{
     ekf::propagation::ImuReading,
@@ -58,11 +59,26 @@ const RAILS: [([f64; 4], &str); 7] = [
         "the rails are exchanged and one reversed, or `camera.orientation` is turned by 90°",
     ),
 ];
+/// Delays of the encoders' stamps, s: late ones first, none last. Each explains the delays around
+/// it.
+const DELAYS: [f64; 7] = [0.1, 0.2, 0.4, -0.1, -0.2, -0.4, 0.0];
+/// Longest of them, s.
+const LONGEST: f64 = 0.4;
+/// What is wrong where late or early stamps explain the motion.
+const STAMPS: [&str; 2] = [
+    "the encoders' stamps are late beside the images' (`volant check` measures \
+     `clock.climber_offset`)",
+    "the encoders' stamps are early beside the images' (`volant check` measures \
+     `clock.climber_offset`)",
+];
 /// What is wrong where a turn in the other direction explains its changes.
 const TURN: &str = "`turn` is reversed";
-/// The same for rails that fit several other directions.
-const UNCLEAR: &str =
-    "the rails are reversed or exchanged, or `camera.orientation` is turned about the vertical";
+/// The same for rails that fit several other directions or stamps.
+const UNCLEAR: &str = "the rails are reversed or exchanged, their stamps are wrong, or \
+                       `camera.orientation` is turned about the vertical";
+
+/// Place of a reversed turn behind the rails and delays.
+const TURNED: usize = RAILS.len() + DELAYS.len() - 1;
 
 /// Climber at an image: x, y (m) and turn (rad).
 #[derive(Clone, Copy, Debug)]
@@ -86,7 +102,14 @@ struct InertialTrack {
     climber_turn: f64,
 }
 
-/// Comparison of the encoders' directions with images and IMU.
+/// Seconds, and the sums over them of the differences with each delay, m/s, and of their squares.
+#[derive(Clone, Copy, Debug, Default)]
+struct DelayedSums {
+    seconds: f64,
+    sums: [(Vector2<f64>, f64); DELAYS.len()],
+}
+
+/// Comparison of the encoders' directions and stamps with images and IMU.
 #[derive(Clone, Debug, Default)]
 pub struct EncoderDirections {
     newest: Option<InertialTrack>,
@@ -95,10 +118,11 @@ pub struct EncoderDirections {
     seconds: f64,
     sum: Vector4<f64>,
     squares: Matrix4<f64>,
+    delayed: DelayedSums,
     /// Sums of squares of the turn's changes minus and plus those of the encoders, rad² s.
     turn_misfits: [f64; 2],
-    /// Direction that explains the motion better, of the rails, or `RAILS.len()`; whether it is the
-    /// only one.
+    /// What explains the motion better, of the rails, the delays behind them, or [`TURNED`]; whether
+    /// it is the only one.
     wrong: Option<(usize, bool)>,
 }
 
@@ -106,8 +130,12 @@ impl EncoderDirections {
     /// Returns what is wrong, if other directions explain what images and IMU show.
     pub fn wrong(&self) -> Option<&'static str> {
         let (k, clear) = self.wrong?;
-        let named = RAILS.get(k).map_or(TURN, |(_, text)| text);
-        Some(if clear { named } else { UNCLEAR })
+        Some(match k.checked_sub(RAILS.len()) {
+            _ if !clear => UNCLEAR,
+            None => RAILS[k].1,
+            Some(delay) if k < TURNED => STAMPS[usize::from(DELAYS[delay] < 0.0)],
+            Some(_) => TURN,
+        })
     }
 
     /// Begins a new stretch of the time line: the next sample is not compared with those before.
@@ -141,9 +169,8 @@ impl EncoderDirections {
         let at = newest.inertial[1] - beside;
         let sample =
             ClimberInstant { stamp, shown: Vector3::new(at.x, at.y, newest.turn), read: *read };
-        self.compare(&sample);
-        self.samples.push_back(sample);
-        let old = |s: &ClimberInstant| stamp.seconds_since(s.stamp) > 2.0 * SPAN + NEAR;
+        self.compare(sample);
+        let old = |s: &ClimberInstant| stamp.seconds_since(s.stamp) > 2.0 * (SPAN + LONGEST) + NEAR;
         while self.samples.front().is_some_and(old) {
             self.samples.pop_front();
         }
@@ -156,33 +183,62 @@ impl EncoderDirections {
         nearest.filter(|s| away(s) < NEAR)
     }
 
-    fn compare(&mut self, last: &ClimberInstant) {
-        let Some(middle) = self.before(last.stamp, SPAN).copied() else { return };
-        let Some(dt) = self.samples.back().map(|s| last.stamp.seconds_since(s.stamp)) else {
+    fn compare(&mut self, last: ClimberInstant) {
+        let before = self.samples.back().map(|s| last.stamp.seconds_since(s.stamp));
+        self.samples.push_back(last);
+        let (Some(middle), Some(before)) = (self.before(last.stamp, SPAN).copied(), before) else {
             return;
         };
-        let dt = dt.min(NEAR);
+        let dt = before.min(NEAR);
         let fade = 1.0 - dt / MEMORY;
-        let span = last.stamp.seconds_since(middle.stamp);
         let turn = wrap_angle(last.shown.z - middle.shown.z);
         let read = wrap_angle(last.read.z - middle.read.z);
         for (sum, sign) in self.turn_misfits.iter_mut().zip([1.0, -1.0]) {
             *sum = *sum * fade + (turn - sign * read).powi(2) * dt;
         }
-        if let Some(first) = self.before(last.stamp, 2.0 * SPAN) {
-            let earlier = middle.stamp.seconds_since(first.stamp);
-            let change = |of: fn(&ClimberInstant) -> Vector2<f64>| {
-                (of(last) - of(&middle)) / span - (of(&middle) - of(first)) / earlier
-            };
-            let (read, shown) = (change(|s| s.read.xy()), change(|s| s.shown.xy()));
-            if read.amax() < LEAPS {
-                let both = Vector4::new(read.x, read.y, shown.x, shown.y);
-                self.seconds = self.seconds * fade + dt;
-                self.sum = self.sum * fade + both * dt;
-                self.squares = self.squares * fade + both * both.transpose() * dt;
+        let read = self.change(&last, |s| s.read.xy());
+        let shown = self.change(&last, |s| s.shown.xy());
+        if let Some((read, shown)) = read.zip(shown)
+            && read.amax() < LEAPS
+        {
+            let both = Vector4::new(read.x, read.y, shown.x, shown.y);
+            self.seconds = self.seconds * fade + dt;
+            self.sum = self.sum * fade + both * dt;
+            self.squares = self.squares * fade + both * both.transpose() * dt;
+        }
+        if let Some(differences) = self.delayed_differences(last.stamp) {
+            self.delayed.seconds = self.delayed.seconds * fade + dt;
+            for ((sum, squares), off) in self.delayed.sums.iter_mut().zip(differences) {
+                *sum = *sum * fade + off * dt;
+                *squares = *squares * fade + off.norm_squared() * dt;
             }
         }
         self.judge();
+    }
+
+    /// Returns the change of the mean velocity over the two spans before an instant, m/s.
+    fn change(
+        &self,
+        last: &ClimberInstant,
+        of: fn(&ClimberInstant) -> Vector2<f64>,
+    ) -> Option<Vector2<f64>> {
+        let middle = self.before(last.stamp, SPAN)?;
+        let first = self.before(last.stamp, 2.0 * SPAN)?;
+        let span = last.stamp.seconds_since(middle.stamp);
+        let earlier = middle.stamp.seconds_since(first.stamp);
+        Some((of(last) - of(middle)) / span - (of(middle) - of(first)) / earlier)
+    }
+
+    /// Returns by how much the changes that images and IMU show differ from the encoders' with each
+    /// delay, m/s. What images show is shifted, so that readings which stand are the same to all.
+    fn delayed_differences(&self, last: Stamp) -> Option<[Vector2<f64>; DELAYS.len()]> {
+        let change = |delay: f64, of| self.change(self.before(last, LONGEST + delay)?, of);
+        let read = change(0.0, |s| s.read.xy()).filter(|read| read.amax() < LEAPS)?;
+        let mut differences = [Vector2::zeros(); DELAYS.len()];
+        for (off, delay) in differences.iter_mut().zip(DELAYS) {
+            *off = change(delay, |s| s.shown.xy())? - read;
+        }
+        Some(differences)
     }
 
     /// Returns the sum of squares of the differences from rails of these directions, (m/s)² s; a
@@ -196,29 +252,41 @@ impl EncoderDirections {
             + (turned * read * turned.transpose()).trace()
     }
 
+    /// Returns what is given and the other explanations: sums of squares of the differences with
+    /// the given one and with the other, the least excess that counts, and the time compared, s.
+    fn explanations(&self) -> [(f64, f64, f64, f64); TURNED + 1] {
+        let given = self.misfit(&[1.0, 0.0, 0.0, 1.0]);
+        let rails = RAILS.map(|(d, _)| (given, self.misfit(&d), LEAST[0], self.seconds));
+        let DelayedSums { seconds, sums } = &self.delayed;
+        let sums = sums.map(|(sum, squares)| squares - sum.norm_squared() / seconds.max(NEAR));
+        let undelayed = sums[DELAYS.len() - 1];
+        let delays = sums[..DELAYS.len() - 1].iter().map(|x| (undelayed, *x, LEAST[0], *seconds));
+        let turn = (self.turn_misfits[0], self.turn_misfits[1], LEAST[1], f64::INFINITY);
+        let mut all = [turn; TURNED + 1];
+        all.iter_mut().zip(rails.into_iter().chain(delays)).for_each(|(place, e)| *place = e);
+        all
+    }
+
     fn judge(&mut self) {
-        let given = [self.misfit(&[1.0, 0.0, 0.0, 1.0]), self.turn_misfits[0]];
-        let rails = RAILS.map(|(directions, _)| self.misfit(&directions));
-        let best = (0..RAILS.len()).min_by(|&a, &b| rails[a].total_cmp(&rails[b])).unwrap_or(0);
-        // Rails that move alike fit several directions.
-        let clear = rails.iter().filter(|&&misfit| misfit < RATIO * rails[best]).count() < 2;
-        let of = |k: usize| match rails.get(k) {
-            Some(rails) => (given[0], *rails, LEAST[0]),
-            None => (given[1], self.turn_misfits[1], LEAST[1]),
-        };
+        let explanations = self.explanations();
+        let share = explanations.map(|(given, other, ..)| other / given.max(f64::MIN_POSITIVE));
+        let best = (0..TURNED).min_by(|&a, &b| share[a].total_cmp(&share[b])).unwrap_or(0);
+        // Rails that move alike fit several directions. A delay is alike to those beside it.
+        let alike = |share_of: &f64| *share_of < RATIO * share[best];
+        let (rails, delays) = share[..TURNED].split_at(RAILS.len());
+        let (late, early) = delays.split_at(delays.len() / 2);
+        let causes = rails.iter().filter(|share| alike(share)).count()
+            + [late, early].iter().filter(|delays| delays.iter().any(alike)).count();
+        let clear = causes < 2;
         let refutes = |k: &usize| {
-            let (given, other, least) = of(*k);
-            let compared = *k == RAILS.len() || self.seconds > COMPARED;
-            compared && given - other > least && given > RATIO * other
+            let (given, other, least, seconds) = explanations[*k];
+            seconds > COMPARED && given - other > least && given > RATIO * other
         };
-        let holds = |k: &usize| {
-            let (given, other, _) = of(*k);
-            RATIO * given > other
-        };
+        let holds = |k: &usize| RATIO * explanations[*k].0 > explanations[*k].1;
         // A pose that follows wrong encoders tilts, and blurs what the IMU shows: only clear
         // evidence counts, for and against. A wrong turn shows the rails in wrong directions, too.
-        let found = [RAILS.len(), best].into_iter().find(refutes);
-        let found = found.map(|k| (k, clear || k == RAILS.len()));
+        let found = [TURNED, best].into_iter().find(refutes);
+        let found = found.map(|k| (k, clear || k == TURNED));
         let held = self.wrong.filter(|(k, _)| holds(k));
         self.wrong = held.filter(|(_, clear)| *clear).or(found).or(held);
     }
@@ -271,16 +339,15 @@ mod tests {
     fn add(
         directions: &mut EncoderDirections,
         seconds: std::ops::Range<f64>,
-        read: impl Fn(Vector3<f64>) -> Vector3<f64>,
+        read: impl Fn(f64) -> Vector3<f64>,
     ) {
         let epoch = Stamp::from_nanos(1_760_001_000_000_000_000);
         let count = ((seconds.end - seconds.start) * 30.0) as i32;
         for t in (0..count).map(|i| seconds.start + f64::from(i) / 30.0) {
             let drift = Vector3::new(0.4 * t + 0.02 * t * t, -3.0, 0.5);
             let (stamp, at) = (epoch.plus_seconds(t), climber(t));
-            let instant = ClimberInstant { stamp, shown: at + drift, read: read(at) };
-            directions.compare(&instant);
-            directions.samples.push_back(instant);
+            let instant = ClimberInstant { stamp, shown: at + drift, read: read(t) };
+            directions.compare(instant);
         }
     }
 
@@ -288,7 +355,7 @@ mod tests {
     fn each_wrong_direction_is_named_and_right_ones_are_not() {
         let named = |read: &dyn Fn(Vector3<f64>) -> Vector3<f64>| {
             let mut directions = EncoderDirections::default();
-            add(&mut directions, 0.0..10.0, read);
+            add(&mut directions, 0.0..10.0, |t| read(climber(t)));
             directions.wrong()
         };
         assert_eq!(named(&|at| at), None);
@@ -305,11 +372,25 @@ mod tests {
     }
 
     #[test]
+    fn late_and_early_stamps_are_named() {
+        let named = |delay: f64| {
+            let mut directions = EncoderDirections::default();
+            add(&mut directions, 0.0..10.0, |t| climber(t - delay));
+            directions.wrong()
+        };
+        for delay in [0.08, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5] {
+            assert_eq!([delay, -delay].map(named), STAMPS.map(Some), "{delay} s");
+        }
+        assert_eq!([0.0, 0.03, -0.03].map(named), [None; 3]);
+    }
+
+    #[test]
     fn directions_that_were_corrected_are_right_again() {
         let mut directions = EncoderDirections::default();
-        add(&mut directions, 0.0..10.0, |at| Vector3::new(-at.x, at.y, at.z));
+        let reversed = |t| climber(t).component_mul(&Vector3::new(-1.0, 1.0, 1.0));
+        add(&mut directions, 0.0..10.0, reversed);
         assert!(directions.wrong().is_some());
-        add(&mut directions, 10.0..70.0, |at| at);
+        add(&mut directions, 10.0..70.0, climber);
         assert_eq!(directions.wrong(), None);
     }
 }

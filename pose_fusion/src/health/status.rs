@@ -108,7 +108,7 @@ pub struct Status {
 pub struct EncoderStatus {
     /// They contradict the estimate and are not used.
     pub suspended: bool,
-    /// What is wrong with their directions, as images and IMU show.
+    /// What is wrong with their directions or stamps, as images and IMU show.
     pub wrong_directions: Option<&'static str>,
 }
 

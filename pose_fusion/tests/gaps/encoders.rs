@@ -183,3 +183,34 @@ fn encoders_in_wrong_directions_are_named_and_the_pose_is_lost() {
         }
     }
 }
+
+/// Encoders whose stamps are 0.4 s late beside the images'. Before, the pose was valid and up to
+/// 0.2 m off, or the rails were named.
+#[test]
+fn late_stamps_of_the_encoders_are_named() {
+    for seed in [8, 20] {
+        let motion = MotionConfig {
+            duration: 30.0,
+            climber_speed: 0.8,
+            ..MotionConfig::nominal(900 + seed)
+        };
+        let run = simulated::run(motion, &SensorConfig::nominal(seed));
+        for delay in [0.0, 0.4] {
+            let inputs = run.inputs().map(|mut input| {
+                if let Input::Climber(sample) = &mut input {
+                    sample.stamp = sample.stamp.plus_seconds(delay);
+                }
+                input
+            });
+            let (fusion, outputs) = scoring::follow(FusionConfig::default(), inputs);
+            let found = fusion.status().encoders.wrong_directions;
+            if delay == 0.0 {
+                assert_eq!(found, None, "seed {seed}");
+                continue;
+            }
+            assert!(found.is_some_and(|what| what.contains("stamps are late")), "{found:?}");
+            let last = outputs.status.last().unwrap();
+            assert!(!last.valid && last.reason.contains("stamps are late"), "{last:?}");
+        }
+    }
+}

@@ -106,6 +106,7 @@ pub fn mounting(walk: &mut Walk) -> Result<()> {
     let found = calibrate::rig::run(&calibrate::rig::Arguments {
         bag,
         rig: walk.rig.clone(),
+        params_file: vec![],
         hold_camera: jogged,
         topics,
         output: Output::default(),

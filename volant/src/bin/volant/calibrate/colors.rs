@@ -146,13 +146,13 @@ fn measure(arguments: &Arguments, losses: &mut Vec<String>) -> anyhow::Result<Ve
     })?;
     for (color, found) in result.iter() {
         let spread = found.map_or(0.0, |found| found.spread);
-        if spread > LARGEST_SPREAD {
-            terminal::warn(format!(
-                "{color}: not one color: it varies by {spread:.0} of 255 between the images \
-                 (usual: up to 3), so not all of them show the marker there; {}",
-                remedy(arguments)
-            ));
-        }
+        ensure!(
+            spread <= LARGEST_SPREAD,
+            "{}: {color}: not one color: it varies by {spread:.0} of 255 between the images \
+             (usual: up to 3), so not all of them show the marker there; {}",
+            arguments.source,
+            remedy(arguments)
+        );
     }
     Ok(settings)
 }

@@ -5,10 +5,11 @@ use crate::{
     settings::{self, BagTopics},
     terminal,
 };
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use node_kit::outln;
 use rig_calibration::{Estimate, MISFIT, Refinement};
-use std::path::PathBuf;
+use ros_parameters::ParameterFile;
+use std::path::{Path, PathBuf};
 use volant::{
     calibration::refine_from_bag,
     parameter_update::{Setting, list},
@@ -22,6 +23,9 @@ pub struct Arguments {
     /// Rig file as measured by hand, which is updated
     #[arg(long, value_name = "FILE")]
     pub rig: PathBuf,
+    /// ROS 2 parameter file of the nodes, in addition to the rig file; repeatable
+    #[arg(long, value_name = "FILE")]
+    pub params_file: Vec<PathBuf>,
     /// Keep the camera's mounting as it is in the rig file: the jog of `volant calibrate climber
     /// --camera` determines it better than a swing
     #[arg(long)]
@@ -34,8 +38,10 @@ pub struct Arguments {
 
 /// Runs the command; returns what it found.
 pub fn run(arguments: &Arguments) -> Result<Estimate> {
-    arguments.output.check(None, &[&arguments.rig, &arguments.bag])?;
-    let cores = settings::read(&arguments.rig, &[], &arguments.topics)?;
+    let more = &arguments.params_file;
+    let inputs = [&arguments.rig, &arguments.bag].into_iter().chain(more).map(PathBuf::as_path);
+    arguments.output.check(None, &inputs.collect::<Vec<_>>())?;
+    let cores = settings::read(&arguments.rig, more, &arguments.topics)?;
     let camera: &[&str] = &["camera rotation", "camera position"];
     let held = if arguments.hold_camera { camera } else { &[] };
     let mut losses = vec![];
@@ -50,8 +56,30 @@ pub fn run(arguments: &Arguments) -> Result<Estimate> {
         estimate.reduced,
         arguments.rig.display()
     );
-    arguments.output.update(&arguments.rig, &changes(&estimate))?;
+    let changes = changes(&estimate);
+    check_effect(&changes, more, &arguments.rig)?;
+    arguments.output.update(&arguments.rig, &changes)?;
     Ok(estimate)
+}
+
+/// Fails where another parameter file sets what is to be changed in the rig file: nodes that read
+/// both would not see the change.
+fn check_effect(changes: &[Setting], files: &[PathBuf], rig: &Path) -> Result<()> {
+    for file in files {
+        let text = node_kit::files::read_text(file)
+            .with_context(|| format!("{}: not readable", file.display()))?;
+        let given = ParameterFile::parse(&text)?.for_node("/pose_fusion");
+        if let Some(change) = changes.iter().find(|change| given.contains_key(&change.name)) {
+            bail!(
+                "{}: sets `{}`, which overrides {}: remove it there, else the new value has no \
+                 effect; nothing is changed",
+                file.display(),
+                change.name,
+                rig.display()
+            );
+        }
+    }
+    Ok(())
 }
 
 fn print(estimate: &Estimate) -> Result<()> {
