@@ -170,7 +170,9 @@ impl Climber {
         } else {
             format!("the joints {}", listed(reading.names.iter()))
         };
-        let configured = listed(self.config.joints.iter().map(|joint| &joint.name));
+        let names = self.config.joints.iter().map(|joint| &joint.name);
+        let names: Vec<&String> = names.filter(|name| !name.is_empty()).collect();
+        let configured = listed(names.into_iter());
         let text = format!(
             "the messages have {found}, but none of {configured}; set the parameters \
              joints.rail_x, joints.rail_y and joints.turn to the names in the messages"
@@ -194,7 +196,9 @@ impl Climber {
             return wrong("length mismatch", text);
         }
         let mut axes = [0.0; 3];
-        for ((axis, joint), &index) in axes.iter_mut().zip(&self.config.joints).zip(&readings) {
+        for ((axis, joint), index) in axes.iter_mut().zip(&self.config.joints).zip(readings) {
+            // An axis that the climber does not have.
+            let Some(index) = index else { continue };
             let value = reading.positions[index];
             *axis = joint.scale * (value - joint.zero);
             if !axis.is_finite() {
@@ -236,12 +240,13 @@ impl Climber {
         self.check_jump(&last, now).map(Some)
     }
 
-    /// Indices of the configured joints in the message; `None` if it contains none of them.
-    fn joint_indices(&self, reading: &JointReading) -> Result<Option<[usize; 3]>, Warning> {
+    /// Indices of the configured joints in the message, `None` for an axis without one; `None` if it
+    /// contains none of them.
+    fn joint_indices(&self, reading: &JointReading) -> Result<Option<[Option<usize>; 3]>, Warning> {
         let mut indices = [None; 3];
         for (slot, joint) in indices.iter_mut().zip(&self.config.joints) {
-            let mut found =
-                reading.names.iter().enumerate().filter(|(_, n)| **n == joint.name).map(|(i, _)| i);
+            let same = |(_, name): &(usize, &String)| **name == joint.name && !name.is_empty();
+            let mut found = reading.names.iter().enumerate().filter(same).map(|(i, _)| i);
             *slot = found.next();
             if found.next().is_some() {
                 let text = "occurs twice in one message; name each joint once";
@@ -249,15 +254,17 @@ impl Climber {
                 return Err(Warning::Rejected { kind: "duplicate joint", text });
             }
         }
-        match indices {
-            [None, None, None] => Ok(None),
-            [Some(x), Some(y), Some(turn)] => Ok(Some([x, y, turn])),
-            _ => {
-                let missing = indices.iter().position(Option::is_none).unwrap_or(0);
-                let (joint, axis) = (&self.config.joints[missing].name, Axis::ALL[missing]);
+        if indices.iter().all(Option::is_none) {
+            return Ok(None);
+        }
+        let mut axes = Axis::ALL.into_iter().zip(&self.config.joints).zip(indices);
+        match axes.find(|((_, joint), index)| index.is_none() && !joint.name.is_empty()) {
+            None => Ok(Some(indices)),
+            Some(((axis, joint), _)) => {
                 let text = format!(
-                    "the joint `{joint}` ({axis}) is missing; publish all three joints in one \
-                     message, or set the parameter joints.{axis} to its name"
+                    "the joint `{}` ({axis}) is missing; publish all joints in one message, or set \
+                     the parameter joints.{axis} to its name, or to \"\" where the climber has none",
+                    joint.name
                 );
                 Err(Warning::Rejected { kind: "missing joint", text })
             }

@@ -50,7 +50,8 @@ impl fmt::Display for Axis {
 /// Calibration of one joint: `axis = scale · (reading − zero)`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JointCalibration {
-    /// The joint's name in `sensor_msgs/JointState`.
+    /// The joint's name in `sensor_msgs/JointState`; empty where the climber does not have this
+    /// axis, which is 0 then.
     pub name: String,
     /// Meters (radians for `turn`) per unit of the reading; negative if it counts backwards.
     pub scale: f64,
@@ -110,16 +111,17 @@ impl ClimberConfig {
     /// # Errors
     /// The first invalid parameter.
     pub fn validate(&self) -> Result<(), ConfigError> {
+        if self.joints.iter().all(|joint| joint.name.is_empty()) {
+            let mistake = "the parameters `joints.rail_x`, `joints.rail_y` and `joints.turn` are all \
+                           empty; name the joints of joint_states that the climber has";
+            return Err(ConfigError(mistake.to_owned()));
+        }
         for (i, axis) in Axis::ALL.into_iter().enumerate() {
             let joint = &self.joints[i];
             let (name, scale, zero) = (&joint.name, joint.scale, joint.zero);
-            let shared = self.joints[..i].iter().position(|other| other.name == *name);
-            let mistake = if name.is_empty() {
-                format!(
-                    "the parameter `joints.{axis}` is empty; set it to the joint in joint_states \
-                     that measures this axis"
-                )
-            } else if let Some(j) = shared {
+            let shared =
+                (self.joints[..i].iter()).position(|other| !name.is_empty() && other.name == *name);
+            let mistake = if let Some(j) = shared {
                 format!(
                     "the parameters `joints.{}` and `joints.{axis}` are both `{name}`; name a \
                      different joint for each axis",
@@ -152,7 +154,9 @@ mod tests {
         let mistakes: [(&str, Fault); 4] = [
             ("scale.rail_y", |c| c.joints[1].scale = 0.0),
             ("zero.turn", |c| c.joints[2].zero = f64::NAN),
-            ("joints.turn", |c| c.joints[2].name.clear()),
+            ("`joints.rail_y` and `joints.turn` are all empty", |c| {
+                c.joints.iter_mut().for_each(|joint| joint.name.clear())
+            }),
             ("`joints.rail_x` and `joints.turn` are both `rail_x`", |c| {
                 c.joints[2].name = "rail_x".into()
             }),

@@ -12,11 +12,12 @@ use volant_msgs::{geometry_msgs::msg::TransformStamped, sensor_msgs::msg::JointS
 node_kit::parameters! {
     /// Parameters of the node `climber_driver`, one field each.
     pub struct ClimberParameters {
-        /// Name of the joint that measures the position along the world's x.
+        /// Name of the joint that measures the position along the world's x; empty ("") where the
+        /// climber does not move along it.
         joint_x: String = "rail_x", name("joints.rail_x");
-        /// Name of the joint that measures the position along the world's y.
+        /// Name of the joint that measures the position along the world's y, or empty.
         joint_y: String = "rail_y", name("joints.rail_y");
-        /// Name of the joint that measures the rotation about the vertical.
+        /// Name of the joint that measures the rotation about the vertical, or empty.
         joint_turn: String = "turn", name("joints.turn");
         /// Meters per unit of the reading: axis = scale * (reading - zero); negative if the joint
         /// counts backwards.

@@ -61,7 +61,7 @@ fn an_empty_rig_file_becomes_as_good_as_the_true_one() {
     let place = Place::new();
     let simulated = Simulated::new(1);
     simulated.write_rest(&place.path("rest.mcap"));
-    simulated.write_jog(&place.path("jog.mcap"));
+    simulated.write_jog(&place.path("jog.mcap"), true);
     simulated.write(&place.path("swing.mcap"), &simulated.motion(60.0, true), false);
     let other = Simulated::new(101);
     let motion = other.motion(20.0, false);

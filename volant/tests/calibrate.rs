@@ -215,7 +215,7 @@ fn imu_finds_no_noise_in_the_motion_of_real_recordings() {
 fn climber_finds_names_signs_scales_zeros_and_height() {
     let before = dressed(RIG_YAML);
     let (place, simulated) = (Place::with_rig(&before), Simulated::new(4));
-    simulated.write_jog(&place.path("jog.mcap"));
+    simulated.write_jog(&place.path("jog.mcap"), true);
     let climber = "calibrate climber jog.mcap --rig rig.yaml";
     let printed = place.done(climber);
     assert!(printed.contains("zero.rail_x") && printed.contains("survey it"), "{printed}");
@@ -253,6 +253,24 @@ fn climber_finds_names_signs_scales_zeros_and_height() {
     let message = place.failed("calibrate climber swing.mcap --rig rig.yaml");
     assert!(message.contains("platform"), "{message}");
     assert_eq!(place.text("rig.yaml"), after);
+}
+
+#[test]
+fn a_climber_without_a_turn_is_calibrated() {
+    let rig = dressed(RIG_YAML).replace("height: 2.5 # m\n", "height: 2.5\n    joints.turn: ''\n");
+    let (place, simulated) = (Place::with_rig(&rig), Simulated::new(4));
+    simulated.write_jog(&place.path("jog.mcap"), false);
+    let t = resting().translation;
+    let command = "calibrate climber jog.mcap --rig rig.yaml --platform";
+    let printed = place.done(&format!("{command} {},{},{}", t.x, t.y, t.z));
+    assert!(printed.contains("the climber has no such axis"), "{printed}");
+    let found = parameters(&place.text("rig.yaml"), "/climber_driver");
+    for (i, axis) in ["rail_x", "rail_y"].into_iter().enumerate() {
+        let scale = found[&format!("scale.{axis}")].as_f64().unwrap();
+        assert!((scale / simulated.encoders.scale[i] - 1.0).abs() < 3e-3, "{axis} {scale}");
+    }
+    assert!((found["height"].as_f64().unwrap() - simulated.height).abs() < 0.01);
+    assert_eq!(found["joints.turn"].to_string(), "\"\"");
 }
 
 /// A bag of two rigs: each is read by its namespace, and none is guessed.

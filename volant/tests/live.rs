@@ -315,7 +315,7 @@ fn encoders_are_calibrated_from_live_topics() {
     let dir = TempDir::new().unwrap();
     let (jog, rig) = (dir.path().join("jog.mcap"), dir.path().join("rig.yaml"));
     let simulated = simulated::Simulated::new(6);
-    simulated.write_jog(&jog);
+    simulated.write_jog(&jog, true);
     std::fs::write(&rig, rig_simulator::RIG_YAML).unwrap();
     let _player = start(75, &format!("play {} --rate 4 --loop", jog.display()));
     let calibrate = format!("calibrate climber --live --duration 10 --rig {}", rig.display());

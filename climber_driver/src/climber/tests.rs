@@ -136,7 +136,28 @@ fn messages_with_other_joints_only_are_named_and_so_is_the_parameter() {
     // One joint per message: another name does not help.
     let mut climber = climber();
     let missing = rejection(&mut climber, &named(0, &["rail_x", "rail_y"])).to_string();
-    assert!(missing.contains("all three joints in one message"), "{missing}");
+    assert!(missing.contains("publish all joints in one message"), "{missing}");
+}
+
+#[test]
+fn an_axis_that_the_climber_does_not_have_is_zero() {
+    let mut config = ClimberConfig::default();
+    config.joints[2].name.clear();
+    let mut climber = Climber::new(config).unwrap();
+    let mut rails = JointReading {
+        stamp: T0,
+        names: ["", "rail_y", "rail_x"].map(str::to_owned).to_vec(),
+        positions: vec![7.0, 0.2, 0.1],
+    };
+    let out = process(&mut climber, &rails);
+    let [Output::Sample(sample)] = out.as_slice() else { panic!("{out:?}") };
+    assert_eq!(sample.world_from_climber, Isometry3::translation(0.1, 0.2, 0.0));
+    // The joints that it has are required as before.
+    (rails.names[1], rails.stamp) = ("trolley".to_owned(), T0.plus_seconds(0.02));
+    let missing = rejection(&mut climber, &rails).to_string();
+    assert!(missing.contains("`rail_y` (rail_y) is missing"), "{missing}");
+    let other = JointReading { names: vec!["arm".into()], positions: vec![0.0], ..rails };
+    assert!(process(&mut climber, &other).is_empty(), "of another publisher");
 }
 
 #[test]

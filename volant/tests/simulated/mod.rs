@@ -161,13 +161,14 @@ impl Simulated {
     }
 
     /// Writes a jog, one axis after the other, over the platform on the floor.
-    pub fn write_jog(&self, path: &Path) {
+    pub fn write_jog(&self, path: &Path, turns: bool) {
         let mut bag = BagWriter::create(path, WriteOptions::default()).unwrap();
         let (frames, epoch) = (Frames::default(), Stamp::from_nanos(1_700_000_000_000_000_000));
         let mut random = Random::fork(self.seed, "jog");
         let axes = |t: f64| {
             let jog = |from: f64| (TAU * ((t - from) / 8.0).clamp(0.0, 1.0)).sin();
-            [0.8 * jog(1.0), 0.7 * jog(10.0), 0.1 + 0.8 * jog(19.0)]
+            let turn = if turns { 0.1 + 0.8 * jog(19.0) } else { 0.0 };
+            [0.8 * jog(1.0), 0.7 * jog(10.0), turn]
         };
         let info = convert::camera_message(&frames.camera, epoch, &self.camera);
         put(&mut bag, absolute::CAMERA_INFO, epoch, &info);
@@ -175,6 +176,10 @@ impl Simulated {
             let (t, stamp) = (f64::from(i) / 60.0, epoch.plus_seconds(f64::from(i) / 60.0));
             let mut readings = self.joint_state(stamp, axes(t));
             readings.position[0] = readings.position[0].round();
+            if !turns {
+                readings.name.truncate(2);
+                readings.position.truncate(2);
+            }
             put(&mut bag, absolute::JOINT_STATES, stamp, &readings);
             if i % 3 != 0 {
                 continue;

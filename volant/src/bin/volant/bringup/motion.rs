@@ -64,6 +64,8 @@ pub fn encoders(walk: &mut Walk) -> Result<()> {
         topics,
         output: Output::default(),
     })?;
+    let text = node_kit::files::read_text(&walk.rig)?;
+    let present = ParameterFile::parse(&text)?.for_node(calibrate::climber::NODE);
     for (axis, name) in found.axes.iter().zip(AXES) {
         match axis {
             Some(axis) => {
@@ -74,9 +76,17 @@ pub fn encoders(walk: &mut Walk) -> Result<()> {
                     format!("joint {}, scale {:.6e}, zero {zero}", axis.joint, axis.scale.0),
                 )?;
             }
-            None => {
-                walk.check(false, name, "unobservable: it did not move; survey it, or jog it")?
+            None if calibrate::climber::is_absent(&present, name) => {
+                walk.note(name, "the climber has no such axis")?
             }
+            None => walk.check(
+                false,
+                name,
+                format!(
+                    "unobservable: it did not move; survey it, or jog it; where the climber has no \
+                     such axis, set joints.{name} of climber_driver to \"\" in the rig file"
+                ),
+            )?,
         }
     }
     if let Some((height, sigma)) = found.height {

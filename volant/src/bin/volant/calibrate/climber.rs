@@ -206,6 +206,12 @@ fn camera_settings(found: &ClimberCalibration, rig: &Rig) -> Vec<Setting> {
     settings
 }
 
+/// Whether the climber has no such axis: its joint's name is empty.
+pub fn is_absent(present: &ParameterMap, axis: &str) -> bool {
+    let name = present.get(&format!("joints.{axis}"));
+    name.is_some_and(|name| *name == ParameterValue::String(String::new()))
+}
+
 fn print(found: &ClimberCalibration, present: &ParameterMap) -> Result<()> {
     outln!("{} images, pixel residual {:.3} px RMS", found.images, found.pixel_rms)?;
     outln!("{:<16}{:>16}{:>16}{:>12}", "", "in the file", "found", "std dev")?;
@@ -221,6 +227,10 @@ fn print(found: &ClimberCalibration, present: &ParameterMap) -> Result<()> {
     };
     for (axis, name) in found.axes.iter().zip(AXES) {
         let known = axis.as_ref();
+        if known.is_none() && is_absent(present, name) {
+            outln!("{:<16}{:>16}  the climber has no such axis", format!("joints.{name}"), "\"\"")?;
+            continue;
+        }
         let before = present.get(&format!("joints.{name}")).map_or("-".into(), ToString::to_string);
         let joint = known.map_or("unobservable: jog it", |a| a.joint.as_str());
         outln!("{:<16}{before:>16}{joint:>16}", format!("joints.{name}"))?;
