@@ -101,7 +101,9 @@ fn on_screen(watch: &mut Watch, stop: &AtomicBool) -> anyhow::Result<()> {
         anyhow::anyhow!("the terminal: {source}; `--once` or a pipe writes plain text")
     };
     // Its panic hook restores the terminal too.
-    let mut terminal = ratatui::try_init().map_err(failed)?;
+    let terminal = ratatui::try_init().map_err(failed)?;
+    // Dropped, it shows the cursor, and panics where the terminal was closed.
+    let mut terminal = std::mem::ManuallyDrop::new(terminal);
     let mut chosen = 0;
     let result = loop {
         watch.poll();
@@ -118,7 +120,8 @@ fn on_screen(watch: &mut Watch, stop: &AtomicBool) -> anyhow::Result<()> {
             break Ok(());
         }
     };
-    // Fails where the terminal was closed.
+    // Both fail where the terminal was closed.
+    let _ = terminal.show_cursor();
     let _ = ratatui::try_restore();
     result
 }
