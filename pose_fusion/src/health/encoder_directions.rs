@@ -109,6 +109,34 @@ struct DelayedSums {
     sums: [(Vector2<f64>, f64); DELAYS.len()],
 }
 
+/// What is given and another explanation of the motion.
+#[derive(Clone, Copy, Debug)]
+struct Explanation {
+    /// Sums of squares of the differences with what is given, and with the other.
+    given: f64,
+    other: f64,
+    /// Smallest excess of `given` that counts.
+    least: f64,
+    /// Time compared, s.
+    seconds: f64,
+}
+
+impl Explanation {
+    /// What the other explanation leaves of the differences.
+    fn share(&self) -> f64 {
+        self.other / self.given.max(f64::MIN_POSITIVE)
+    }
+
+    fn refutes(&self) -> bool {
+        let Self { given, other, least, seconds } = *self;
+        seconds > COMPARED && given - other > least && given > RATIO * other
+    }
+
+    fn holds(&self) -> bool {
+        RATIO * self.given > self.other
+    }
+}
+
 /// Comparison of the encoders' directions and stamps with images and IMU.
 #[derive(Clone, Debug, Default)]
 pub struct EncoderDirections {
@@ -252,16 +280,22 @@ impl EncoderDirections {
             + (turned * read * turned.transpose()).trace()
     }
 
-    /// Returns what is given and the other explanations: sums of squares of the differences with
-    /// the given one and with the other, the least excess that counts, and the time compared, s.
-    fn explanations(&self) -> [(f64, f64, f64, f64); TURNED + 1] {
-        let given = self.misfit(&[1.0, 0.0, 0.0, 1.0]);
-        let rails = RAILS.map(|(d, _)| (given, self.misfit(&d), LEAST[0], self.seconds));
-        let DelayedSums { seconds, sums } = &self.delayed;
+    /// Returns the rails, the delays and the turn as explanations.
+    fn explanations(&self) -> [Explanation; TURNED + 1] {
+        let (given, [least, least_turn]) = (self.misfit(&[1.0, 0.0, 0.0, 1.0]), LEAST);
+        let rails = RAILS.map(|(directions, _)| Explanation {
+            given,
+            other: self.misfit(&directions),
+            least,
+            seconds: self.seconds,
+        });
+        let DelayedSums { seconds, sums } = self.delayed;
         let sums = sums.map(|(sum, squares)| squares - sum.norm_squared() / seconds.max(NEAR));
-        let undelayed = sums[DELAYS.len() - 1];
-        let delays = sums[..DELAYS.len() - 1].iter().map(|x| (undelayed, *x, LEAST[0], *seconds));
-        let turn = (self.turn_misfits[0], self.turn_misfits[1], LEAST[1], f64::INFINITY);
+        let (delayed, undelayed) = sums.split_at(DELAYS.len() - 1);
+        let delays =
+            delayed.iter().map(|&other| Explanation { given: undelayed[0], other, least, seconds });
+        let [given, other] = self.turn_misfits;
+        let turn = Explanation { given, other, least: least_turn, seconds: f64::INFINITY };
         let mut all = [turn; TURNED + 1];
         all.iter_mut().zip(rails.into_iter().chain(delays)).for_each(|(place, e)| *place = e);
         all
@@ -269,25 +303,20 @@ impl EncoderDirections {
 
     fn judge(&mut self) {
         let explanations = self.explanations();
-        let share = explanations.map(|(given, other, ..)| other / given.max(f64::MIN_POSITIVE));
+        let share = explanations.map(|e| e.share());
         let best = (0..TURNED).min_by(|&a, &b| share[a].total_cmp(&share[b])).unwrap_or(0);
         // Rails that move alike fit several directions. A delay is alike to those beside it.
-        let alike = |share_of: &f64| *share_of < RATIO * share[best];
+        let alike = |of: &f64| *of < RATIO * share[best];
         let (rails, delays) = share[..TURNED].split_at(RAILS.len());
         let (late, early) = delays.split_at(delays.len() / 2);
         let causes = rails.iter().filter(|share| alike(share)).count()
             + [late, early].iter().filter(|delays| delays.iter().any(alike)).count();
         let clear = causes < 2;
-        let refutes = |k: &usize| {
-            let (given, other, least, seconds) = explanations[*k];
-            seconds > COMPARED && given - other > least && given > RATIO * other
-        };
-        let holds = |k: &usize| RATIO * explanations[*k].0 > explanations[*k].1;
         // A pose that follows wrong encoders tilts, and blurs what the IMU shows: only clear
         // evidence counts, for and against. A wrong turn shows the rails in wrong directions, too.
-        let found = [TURNED, best].into_iter().find(refutes);
+        let found = [TURNED, best].into_iter().find(|k| explanations[*k].refutes());
         let found = found.map(|k| (k, clear || k == TURNED));
-        let held = self.wrong.filter(|(k, _)| holds(k));
+        let held = self.wrong.filter(|(k, _)| explanations[*k].holds());
         self.wrong = held.filter(|(_, clear)| *clear).or(found).or(held);
     }
 }
@@ -326,71 +355,4 @@ impl InertialTrack {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// True motion of a climber: x, y, m; turn, rad.
-    fn climber(t: f64) -> Vector3<f64> {
-        let turn = wrap_angle(2.9 + 0.5 * (0.7 * t).sin());
-        Vector3::new(0.3 * (1.3 * t).sin(), 0.2 * (2.1 * t + 1.0).sin(), turn)
-    }
-
-    /// Adds instants of `seconds` at 30 Hz, with a drift of the IMU and `read` by the encoders.
-    fn add(
-        directions: &mut EncoderDirections,
-        seconds: std::ops::Range<f64>,
-        read: impl Fn(f64) -> Vector3<f64>,
-    ) {
-        let epoch = Stamp::from_nanos(1_760_001_000_000_000_000);
-        let count = ((seconds.end - seconds.start) * 30.0) as i32;
-        for t in (0..count).map(|i| seconds.start + f64::from(i) / 30.0) {
-            let drift = Vector3::new(0.4 * t + 0.02 * t * t, -3.0, 0.5);
-            let (stamp, at) = (epoch.plus_seconds(t), climber(t));
-            let instant = ClimberInstant { stamp, shown: at + drift, read: read(t) };
-            directions.compare(instant);
-        }
-    }
-
-    #[test]
-    fn each_wrong_direction_is_named_and_right_ones_are_not() {
-        let named = |read: &dyn Fn(Vector3<f64>) -> Vector3<f64>| {
-            let mut directions = EncoderDirections::default();
-            add(&mut directions, 0.0..10.0, |t| read(climber(t)));
-            directions.wrong()
-        };
-        assert_eq!(named(&|at| at), None);
-        assert_eq!(named(&|at| Vector3::new(0.0, 0.0, at.z)), None, "stuck rails");
-        assert_eq!(named(&|at| Vector3::new(at.x, at.y, -at.z)), Some(TURN));
-        for (directions, text) in RAILS {
-            let encoders_from_climber = Matrix2::from_row_slice(&directions).transpose();
-            let read = |at: Vector3<f64>| {
-                let rails = encoders_from_climber * at.xy();
-                Vector3::new(rails.x, rails.y, at.z)
-            };
-            assert_eq!(named(&read), Some(text));
-        }
-    }
-
-    #[test]
-    fn late_and_early_stamps_are_named() {
-        let named = |delay: f64| {
-            let mut directions = EncoderDirections::default();
-            add(&mut directions, 0.0..10.0, |t| climber(t - delay));
-            directions.wrong()
-        };
-        for delay in [0.08, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5] {
-            assert_eq!([delay, -delay].map(named), STAMPS.map(Some), "{delay} s");
-        }
-        assert_eq!([0.0, 0.03, -0.03].map(named), [None; 3]);
-    }
-
-    #[test]
-    fn directions_that_were_corrected_are_right_again() {
-        let mut directions = EncoderDirections::default();
-        let reversed = |t| climber(t).component_mul(&Vector3::new(-1.0, 1.0, 1.0));
-        add(&mut directions, 0.0..10.0, reversed);
-        assert!(directions.wrong().is_some());
-        add(&mut directions, 10.0..70.0, climber);
-        assert_eq!(directions.wrong(), None);
-    }
-}
+mod tests;

@@ -1,0 +1,68 @@
+//! Wrong directions and stamps are named, right ones are not.
+
+use super::*;
+
+/// True motion of a climber: x, y, m; turn, rad.
+fn climber(t: f64) -> Vector3<f64> {
+    let turn = wrap_angle(2.9 + 0.5 * (0.7 * t).sin());
+    Vector3::new(0.3 * (1.3 * t).sin(), 0.2 * (2.1 * t + 1.0).sin(), turn)
+}
+
+/// Adds instants of `seconds` at 30 Hz, with a drift of the IMU and `read` by the encoders.
+fn add(
+    directions: &mut EncoderDirections,
+    seconds: std::ops::Range<f64>,
+    read: impl Fn(f64) -> Vector3<f64>,
+) {
+    let epoch = Stamp::from_nanos(1_760_001_000_000_000_000);
+    let count = ((seconds.end - seconds.start) * 30.0) as i32;
+    for t in (0..count).map(|i| seconds.start + f64::from(i) / 30.0) {
+        let drift = Vector3::new(0.4 * t + 0.02 * t * t, -3.0, 0.5);
+        let (stamp, at) = (epoch.plus_seconds(t), climber(t));
+        let instant = ClimberInstant { stamp, shown: at + drift, read: read(t) };
+        directions.compare(instant);
+    }
+}
+
+#[test]
+fn each_wrong_direction_is_named_and_right_ones_are_not() {
+    let named = |read: &dyn Fn(Vector3<f64>) -> Vector3<f64>| {
+        let mut directions = EncoderDirections::default();
+        add(&mut directions, 0.0..10.0, |t| read(climber(t)));
+        directions.wrong()
+    };
+    assert_eq!(named(&|at| at), None);
+    assert_eq!(named(&|at| Vector3::new(0.0, 0.0, at.z)), None, "stuck rails");
+    assert_eq!(named(&|at| Vector3::new(at.x, at.y, -at.z)), Some(TURN));
+    for (directions, text) in RAILS {
+        let encoders_from_climber = Matrix2::from_row_slice(&directions).transpose();
+        let read = |at: Vector3<f64>| {
+            let rails = encoders_from_climber * at.xy();
+            Vector3::new(rails.x, rails.y, at.z)
+        };
+        assert_eq!(named(&read), Some(text));
+    }
+}
+
+#[test]
+fn late_and_early_stamps_are_named() {
+    let named = |delay: f64| {
+        let mut directions = EncoderDirections::default();
+        add(&mut directions, 0.0..10.0, |t| climber(t - delay));
+        directions.wrong()
+    };
+    for delay in [0.08, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5] {
+        assert_eq!([delay, -delay].map(named), STAMPS.map(Some), "{delay} s");
+    }
+    assert_eq!([0.0, 0.03, -0.03].map(named), [None; 3]);
+}
+
+#[test]
+fn directions_that_were_corrected_are_right_again() {
+    let mut directions = EncoderDirections::default();
+    let reversed = |t| climber(t).component_mul(&Vector3::new(-1.0, 1.0, 1.0));
+    add(&mut directions, 0.0..10.0, reversed);
+    assert!(directions.wrong().is_some());
+    add(&mut directions, 10.0..70.0, climber);
+    assert_eq!(directions.wrong(), None);
+}
