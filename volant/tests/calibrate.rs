@@ -70,14 +70,24 @@ fn rig_keeps_colors_comments_and_the_nodes_parameters() {
     assert_same_lines(&before, &place.text("refined.yaml"), &changing);
     assert_eq!(place.text("rig.yaml"), after);
     assert!(place.failed(arguments).contains("--overwrite"));
-    // Another file's value would hide the new one.
-    let own = "/pose_fusion:\n  ros__parameters:\n    imu.orientation: ";
-    fs::write(place.path("own.yaml"), format!("{own}{turned}\n")).unwrap();
+    // Another file's value would hide the new one, in any node that reads the rig.
     fs::write(place.path("rig.yaml"), &before).unwrap();
-    let printed = place.failed("calibrate rig swing.mcap --rig rig.yaml --params-file own.yaml");
-    let words = ["own.yaml: sets `imu.orientation`", "overrides rig.yaml"];
-    assert!(words.iter().all(|word| printed.contains(word)), "{printed}");
-    assert_eq!(place.text("rig.yaml"), before);
+    for (node, options) in [("pose_fusion", ""), ("rig1/marker_tracker", "--namespace rig1")] {
+        let own = format!("/{node}:\n  ros__parameters:\n    imu.orientation: {turned}\n");
+        fs::write(place.path("own.yaml"), own).unwrap();
+        let bag = if options.is_empty() { "swing.mcap" } else { "rig1.mcap" };
+        if bag == "rig1.mcap" {
+            copy_bag(&place.path("swing.mcap"), &place.path(bag), |topic, _| {
+                topic.name = format!("/rig1{}", topic.name);
+            });
+        }
+        let printed = place.failed(&format!(
+            "calibrate rig {bag} --rig rig.yaml --params-file own.yaml {options}"
+        ));
+        let words = ["own.yaml: sets `imu.orientation`", "overrides rig.yaml"];
+        assert!(words.iter().all(|word| printed.contains(word)), "{printed}");
+        assert_eq!(place.text("rig.yaml"), before);
+    }
 }
 
 #[test]

@@ -9,7 +9,7 @@ use anyhow::{Context, Result, bail, ensure};
 use node_kit::outln;
 use rig_calibration::{Estimate, MISFIT, Refinement};
 use ros_parameters::ParameterFile;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use volant::{
     calibration::refine_from_bag,
     parameter_update::{Setting, list},
@@ -57,26 +57,30 @@ pub fn run(arguments: &Arguments) -> Result<Estimate> {
         arguments.rig.display()
     );
     let changes = changes(&estimate);
-    check_effect(&changes, more, &arguments.rig)?;
+    check_effect(&changes, arguments)?;
     arguments.output.update(&arguments.rig, &changes)?;
     Ok(estimate)
 }
 
-/// Fails where another parameter file sets what is to be changed in the rig file: nodes that read
-/// both would not see the change.
-fn check_effect(changes: &[Setting], files: &[PathBuf], rig: &Path) -> Result<()> {
-    for file in files {
-        let text = node_kit::files::read_text(file)
-            .with_context(|| format!("{}: not readable", file.display()))?;
-        let given = ParameterFile::parse(&text)?.for_node("/pose_fusion");
-        if let Some(change) = changes.iter().find(|change| given.contains_key(&change.name)) {
-            bail!(
-                "{}: sets `{}`, which overrides {}: remove it there, else the new value has no \
-                 effect; nothing is changed",
-                file.display(),
-                change.name,
-                rig.display()
-            );
+/// Fails where another parameter file sets what is to be changed in the rig file, for one of the
+/// nodes that read the rig: they would not see the change.
+fn check_effect(changes: &[Setting], arguments: &Arguments) -> Result<()> {
+    let namespace = arguments.topics.namespace.trim_matches('/');
+    for path in &arguments.params_file {
+        let text = node_kit::files::read_text(path)
+            .with_context(|| format!("{}: not readable", path.display()))?;
+        let file = ParameterFile::parse(&text)?;
+        for node in ["pose_fusion", "marker_tracker", "climber_driver", "imu_driver"] {
+            let given = file.for_node(&format!("/{namespace}/{node}").replace("//", "/"));
+            if let Some(change) = changes.iter().find(|change| given.contains_key(&change.name)) {
+                bail!(
+                    "{}: sets `{}` of {node}, which overrides {}: remove it there, else the new \
+                     value has no effect; nothing is changed",
+                    path.display(),
+                    change.name,
+                    arguments.rig.display()
+                );
+            }
         }
     }
     Ok(())
