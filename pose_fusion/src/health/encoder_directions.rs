@@ -207,7 +207,12 @@ impl EncoderDirections {
     /// Returns the sample about this many seconds before a stamp.
     fn before(&self, stamp: Stamp, seconds: f64) -> Option<&ClimberInstant> {
         let away = |s: &&ClimberInstant| (stamp.seconds_since(s.stamp) - seconds).abs();
-        let nearest = self.samples.iter().min_by(|a, b| away(a).total_cmp(&away(b)));
+        // They are in the order of time.
+        let behind = self.samples.partition_point(|s| stamp.seconds_since(s.stamp) > seconds);
+        let beside = [behind.checked_sub(1), Some(behind)].into_iter().flatten();
+        let nearest = beside
+            .filter_map(|place| self.samples.get(place))
+            .min_by(|a, b| away(a).total_cmp(&away(b)));
         nearest.filter(|s| away(s) < NEAR)
     }
 
