@@ -148,6 +148,7 @@ mod tests {
                 against_prediction: None,
                 mean_variance: Vector2::repeat(CLAIMED),
                 left: residuals.map(|residual| residual - mean * 0.5),
+                evidence: Default::default(),
             };
             for (marker, residual) in record.markers.iter_mut().zip(residuals) {
                 marker.residual = residual;

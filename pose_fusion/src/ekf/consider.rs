@@ -27,6 +27,17 @@ pub const ESTIMATED: usize = 7;
 /// First of eight constants of the marker layout: x and y of red, green, blue, yellow.
 pub const MARKERS: usize = ESTIMATED + calibration::MARKERS;
 
+/// Relative error of the layout's size, in [`FileErrors`].
+pub const SIZE: usize = TIME_OFFSET_ERROR;
+/// Share of an error that images show at least: of stamps 0.07 s late they show 0.045 s, of 1 % of
+/// the focal length 0.9 %.
+const FOUND: f64 = 0.5;
+/// Number of errors of the rig's files.
+pub const FILE_ERRORS: usize = SIZE + 1;
+
+/// Errors of the rig's files: focal length (relative), rotations of the mounting about the camera's
+/// axes (rad), encoder scale (relative), climber stamps (s), size of the layout (relative).
+pub type FileErrors = SVector<f64, FILE_ERRORS>;
 /// Sensitivity of the error state to each parameter, transposed: one row for each parameter, one
 /// column for each entry of the error. Single precision: it widens a covariance and moves the state
 /// by its own corrections only.
@@ -52,15 +63,24 @@ impl Uncertainty {
         variances[ENCODER_SCALE] = sigmas.encoder_scale.powi(2);
         variances[CLIMBER_OFFSET] = sigmas.climber_offset.powi(2);
         variances.fixed_rows_mut::<OFFSETS>(MARKERS).fill(sigmas.marker.powi(2));
-        let center = |k: usize| markers.centers.0[k / 2].coords[k % 2];
-        let size = SVector::from_fn(|k, _| sigmas.layout * center(k));
-        Self { variances, size }
+        Self { variances, size: size(sigmas.layout, markers) }
     }
 
     /// Multiplies every standard deviation by a factor.
     pub fn scale(&mut self, factor: f64) {
         self.variances *= factor * factor;
         self.size *= factor;
+    }
+
+    /// Widens the standard deviations to twice the errors that images show ([`FOUND`]).
+    pub fn open(&mut self, shown: &FileErrors, markers: &MarkerLayout) {
+        let sigmas = shown / FOUND;
+        for (variance, sigma) in self.variances.iter_mut().zip(&sigmas.fixed_rows::<SIZE>(0)) {
+            *variance = variance.max(sigma * sigma);
+        }
+        if sigmas[SIZE] != 0.0 {
+            self.size = size(sigmas[SIZE], markers);
+        }
     }
 
     /// Returns the covariance `V Σ Vᵀ` of values with the sensitivity `by` to the parameters, what
@@ -80,6 +100,11 @@ impl Uncertainty {
         let by_size = by.fixed_columns::<OFFSETS>(MARKERS) * self.size;
         spread + by_size * by_size.transpose()
     }
+}
+
+/// Returns what a relative error of the layout's size moves the markers' centers by, m.
+pub fn size(error: f64, markers: &MarkerLayout) -> SVector<f64, OFFSETS> {
+    SVector::from_fn(|k, _| error * markers.centers.0[k / 2].coords[k % 2])
 }
 
 /// Returns the sensitivity of one entry of the error to each parameter.

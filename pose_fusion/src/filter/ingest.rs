@@ -15,6 +15,7 @@ use crate::{
         history::{CAPACITY, Entry, Event},
     },
 };
+use nalgebra::Vector3;
 use rig_model::{ClimberSample, ImuSample, MarkerObservations, Sample, Stamp};
 
 /// Largest standard deviation of the attitude with which the pose goes on after a gap, rad.
@@ -317,6 +318,7 @@ impl Filter {
         if newest.as_ref().is_some_and(from_the_future) {
             self.climber = ClimberTrack::new(&config.climber);
         }
+        let rates = self.climber.at(stamp).map_or(Vector3::zeros(), |climber| climber.rates);
         let Some((variance, multiplicity)) = self.climber.add(stamp, values, rest) else {
             return self.publisher.warn(Warning::Duplicate { from, stamp });
         };
@@ -333,6 +335,7 @@ impl Filter {
         }
         let reading = EncoderReading {
             values,
+            rates,
             variance: variance.component_mul(&multiplicity),
             multiplicity,
             time_offset,

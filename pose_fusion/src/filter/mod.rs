@@ -20,6 +20,7 @@ use crate::{
     health::{
         contradiction_monitor::ContradictionMonitor,
         encoder_trust::EncoderTrust,
+        rig_evidence::RigEvidence,
         status::{EncoderStatus, Status, TimeOffsetStatus},
     },
     initialization::time_offset::TimeOffsetSearch,
@@ -42,6 +43,7 @@ pub struct Filter {
     climber: ClimberTrack,
     disturbances: Disturbances,
     trust: EncoderTrust,
+    evidence: RigEvidence,
     monitor: ContradictionMonitor,
     search: Option<TimeOffsetSearch>,
     start: Start,
@@ -86,6 +88,7 @@ impl Filter {
             climber: ClimberTrack::new(&config.climber),
             disturbances: Disturbances::default(),
             trust: EncoderTrust::default(),
+            evidence: RigEvidence::default(),
             monitor: ContradictionMonitor::default(),
             search: search(config),
             start: Start::default(),
@@ -160,6 +163,7 @@ impl Filter {
                 searching: self.search.is_some(),
             },
             pixel_noise_factor: self.images.pixel_noise.factor.sqrt(),
+            file_errors: self.evidence.wrong,
             rope: geometry.and_then(|g| self.images.rope.rope(&config.pendulum, g)),
             counts: self.publisher.counts,
             ..Status::default()

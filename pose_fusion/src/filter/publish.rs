@@ -2,7 +2,10 @@
 
 use super::Filter;
 use crate::{
-    ekf::{consider::TIME_OFFSET_ERROR, state::State},
+    ekf::{
+        consider::{CLIMBER_OFFSET, TIME_OFFSET_ERROR},
+        state::State,
+    },
     health::{
         pose_status::{
             CONTRADICTED_REASON, NO_IMU_SAMPLE, PoseState, PoseStatus, StatusTimer,
@@ -237,7 +240,9 @@ impl Filter {
     fn contradicted(&self, at: Stamp, state: &State) -> Option<Cow<'static, str>> {
         let camera = at.plus_seconds(-state.time_offset);
         if let Some(wrong) = self.trust.directions.wrong() {
-            return Some(format!("images and IMU contradict the encoders: {wrong}").into());
+            let stamps = self.evidence.wrong[CLIMBER_OFFSET] != 0.0;
+            let or = if stamps { ", or their stamps are wrong" } else { "" };
+            return Some(format!("images and IMU contradict the encoders: {wrong}{or}").into());
         }
         if self.monitor.is_contradicted(camera) {
             return Some(CONTRADICTED_REASON.into());
@@ -320,6 +325,7 @@ impl Filter {
         let mut calibration = self.setup.calibration;
         // Lasting contradictions mean that the rig's files are wrong by more than their sigmas.
         calibration.scale(self.images.model_error.factor);
+        calibration.open(&self.evidence.wrong, &self.setup.rig.markers);
         calibration.variances[TIME_OFFSET_ERROR] = self.offset_doubt().powi(2);
         Settings {
             rate_variance: densities.rate / self.imu.noise.period(),

@@ -1,13 +1,12 @@
-//! Directions and stamps of the encoders. A rail that is reversed or exchanged with the other, a
-//! reversed turn or a camera turned about the vertical gives a pose that moves the wrong way in the
-//! world, and wrong stamps of the encoders one that lags behind; images and IMU contradict it only
-//! while the climber's speed changes.
+//! Directions of the encoders. A rail that is reversed or exchanged with the other, a reversed turn
+//! or a camera turned about the vertical gives a pose that moves the wrong way in the world; images
+//! and IMU contradict it only while the climber's speed changes.
 //!
 //! Images show where the platform is beside the climber, the IMU (its specific force integrated
 //! twice) where the platform is up to a linear drift: the difference is the climber. From one
 //! [`SPAN`] to the next its mean velocity changes by an amount that does not depend on that drift.
 //! The sums of squares of the differences from the encoders' changes show whether other directions
-//! or stamps would explain them; the turn is compared by its change within a span.
+//! would explain them; the turn is compared by its change within a span.
 
 use crate::{
     ekf::propagation::ImuReading,
@@ -59,26 +58,14 @@ const RAILS: [([f64; 4], &str); 7] = [
         "the rails are exchanged and one reversed, or `camera.orientation` is turned by 90°",
     ),
 ];
-/// Delays of the encoders' stamps, s: late ones first, none last. Each explains the delays around
-/// it.
-const DELAYS: [f64; 7] = [0.1, 0.2, 0.4, -0.1, -0.2, -0.4, 0.0];
-/// Longest of them, s.
-const LONGEST: f64 = 0.4;
-/// What is wrong where late or early stamps explain the motion.
-const STAMPS: [&str; 2] = [
-    "the encoders' stamps are late beside the images' (`volant check` measures \
-     `clock.climber_offset`)",
-    "the encoders' stamps are early beside the images' (`volant check` measures \
-     `clock.climber_offset`)",
-];
 /// What is wrong where a turn in the other direction explains its changes.
 const TURN: &str = "`turn` is reversed";
-/// The same for rails that fit several other directions or stamps.
-const UNCLEAR: &str = "the rails are reversed or exchanged, their stamps are wrong, or \
-                       `camera.orientation` is turned about the vertical";
+/// The same for rails that fit several other directions.
+const UNCLEAR: &str =
+    "the rails are reversed or exchanged, or `camera.orientation` is turned about the vertical";
 
-/// Place of a reversed turn behind the rails and delays.
-const TURNED: usize = RAILS.len() + DELAYS.len() - 1;
+/// Place of a reversed turn behind the rails.
+const TURNED: usize = RAILS.len();
 
 /// Climber at an image: x, y (m) and turn (rad).
 #[derive(Clone, Copy, Debug)]
@@ -100,13 +87,6 @@ struct InertialTrack {
     turn: f64,
     attitude: UnitQuaternion<f64>,
     climber_turn: f64,
-}
-
-/// Seconds, and the sums over them of the differences with each delay, m/s, and of their squares.
-#[derive(Clone, Copy, Debug, Default)]
-struct DelayedSums {
-    seconds: f64,
-    sums: [(Vector2<f64>, f64); DELAYS.len()],
 }
 
 /// What is given and another explanation of the motion.
@@ -137,7 +117,7 @@ impl Explanation {
     }
 }
 
-/// Comparison of the encoders' directions and stamps with images and IMU.
+/// Comparison of the encoders' directions with images and IMU.
 #[derive(Clone, Debug, Default)]
 pub struct EncoderDirections {
     newest: Option<InertialTrack>,
@@ -146,11 +126,9 @@ pub struct EncoderDirections {
     seconds: f64,
     sum: Vector4<f64>,
     squares: Matrix4<f64>,
-    delayed: DelayedSums,
     /// Sums of squares of the turn's changes minus and plus those of the encoders, rad² s.
     turn_misfits: [f64; 2],
-    /// What explains the motion better, of the rails, the delays behind them, or [`TURNED`]; whether
-    /// it is the only one.
+    /// What explains the motion better, of the rails or [`TURNED`]; whether it is the only one.
     wrong: Option<(usize, bool)>,
 }
 
@@ -158,12 +136,8 @@ impl EncoderDirections {
     /// Returns what is wrong, if other directions explain what images and IMU show.
     pub fn wrong(&self) -> Option<&'static str> {
         let (k, clear) = self.wrong?;
-        Some(match k.checked_sub(RAILS.len()) {
-            _ if !clear => UNCLEAR,
-            None => RAILS[k].1,
-            Some(delay) if k < TURNED => STAMPS[usize::from(DELAYS[delay] < 0.0)],
-            Some(_) => TURN,
-        })
+        let named = RAILS.get(k).map_or(TURN, |(_, text)| text);
+        Some(if clear { named } else { UNCLEAR })
     }
 
     /// Begins a new stretch of the time line: the next sample is not compared with those before.
@@ -198,7 +172,7 @@ impl EncoderDirections {
         let sample =
             ClimberInstant { stamp, shown: Vector3::new(at.x, at.y, newest.turn), read: *read };
         self.compare(sample);
-        let old = |s: &ClimberInstant| stamp.seconds_since(s.stamp) > 2.0 * (SPAN + LONGEST) + NEAR;
+        let old = |s: &ClimberInstant| stamp.seconds_since(s.stamp) > 2.0 * SPAN + NEAR;
         while self.samples.front().is_some_and(old) {
             self.samples.pop_front();
         }
@@ -239,13 +213,6 @@ impl EncoderDirections {
             self.sum = self.sum * fade + both * dt;
             self.squares = self.squares * fade + both * both.transpose() * dt;
         }
-        if let Some(differences) = self.delayed_differences(last.stamp) {
-            self.delayed.seconds = self.delayed.seconds * fade + dt;
-            for ((sum, squares), off) in self.delayed.sums.iter_mut().zip(differences) {
-                *sum = *sum * fade + off * dt;
-                *squares = *squares * fade + off.norm_squared() * dt;
-            }
-        }
         self.judge();
     }
 
@@ -262,18 +229,6 @@ impl EncoderDirections {
         Some((of(last) - of(middle)) / span - (of(middle) - of(first)) / earlier)
     }
 
-    /// Returns by how much the changes that images and IMU show differ from the encoders' with each
-    /// delay, m/s. What images show is shifted, so that readings which stand are the same to all.
-    fn delayed_differences(&self, last: Stamp) -> Option<[Vector2<f64>; DELAYS.len()]> {
-        let change = |delay: f64, of| self.change(self.before(last, LONGEST + delay)?, of);
-        let read = change(0.0, |s| s.read.xy()).filter(|read| read.amax() < LEAPS)?;
-        let mut differences = [Vector2::zeros(); DELAYS.len()];
-        for (off, delay) in differences.iter_mut().zip(DELAYS) {
-            *off = change(delay, |s| s.shown.xy())? - read;
-        }
-        Some(differences)
-    }
-
     /// Returns the sum of squares of the differences from rails of these directions, (m/s)² s; a
     /// lasting difference is a bias or a tilt.
     fn misfit(&self, directions: &[f64; 4]) -> f64 {
@@ -285,7 +240,7 @@ impl EncoderDirections {
             + (turned * read * turned.transpose()).trace()
     }
 
-    /// Returns the rails, the delays and the turn as explanations.
+    /// Returns the rails and the turn as explanations.
     fn explanations(&self) -> [Explanation; TURNED + 1] {
         let (given, [least, least_turn]) = (self.misfit(&[1.0, 0.0, 0.0, 1.0]), LEAST);
         let rails = RAILS.map(|(directions, _)| Explanation {
@@ -294,15 +249,10 @@ impl EncoderDirections {
             least,
             seconds: self.seconds,
         });
-        let DelayedSums { seconds, sums } = self.delayed;
-        let sums = sums.map(|(sum, squares)| squares - sum.norm_squared() / seconds.max(NEAR));
-        let (delayed, undelayed) = sums.split_at(DELAYS.len() - 1);
-        let delays =
-            delayed.iter().map(|&other| Explanation { given: undelayed[0], other, least, seconds });
         let [given, other] = self.turn_misfits;
         let turn = Explanation { given, other, least: least_turn, seconds: f64::INFINITY };
         let mut all = [turn; TURNED + 1];
-        all.iter_mut().zip(rails.into_iter().chain(delays)).for_each(|(place, e)| *place = e);
+        all.iter_mut().zip(rails).for_each(|(place, e)| *place = e);
         all
     }
 
@@ -310,13 +260,9 @@ impl EncoderDirections {
         let explanations = self.explanations();
         let share = explanations.map(|e| e.share());
         let best = (0..TURNED).min_by(|&a, &b| share[a].total_cmp(&share[b])).unwrap_or(0);
-        // Rails that move alike fit several directions. A delay is alike to those beside it.
-        let alike = |of: &f64| *of < RATIO * share[best];
-        let (rails, delays) = share[..TURNED].split_at(RAILS.len());
-        let (late, early) = delays.split_at(delays.len() / 2);
-        let causes = rails.iter().filter(|share| alike(share)).count()
-            + [late, early].iter().filter(|delays| delays.iter().any(alike)).count();
-        let clear = causes < 2;
+        // Rails that move alike fit several directions.
+        let alike = |of: &&f64| **of < RATIO * share[best];
+        let clear = share[..TURNED].iter().filter(alike).count() < 2;
         // A pose that follows wrong encoders tilts, and blurs what the IMU shows: only clear
         // evidence counts, for and against. A wrong turn shows the rails in wrong directions, too.
         let found = [TURNED, best].into_iter().find(|k| explanations[*k].refutes());

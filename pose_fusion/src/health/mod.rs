@@ -6,5 +6,6 @@ pub mod encoder_directions;
 pub mod encoder_trust;
 pub mod pose_status;
 pub mod rig_check;
+pub mod rig_evidence;
 pub mod sanity;
 pub mod status;

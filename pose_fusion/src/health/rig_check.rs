@@ -4,7 +4,10 @@
 //! IMU samples; `test/tests/check.rs` repeats it.
 
 use crate::{
-    health::status::{Status, TimeOffsetStatus},
+    health::{
+        rig_evidence,
+        status::{Status, TimeOffsetStatus},
+    },
     input::imu_stamps::Bursts,
     measurements::Outcome,
     output::MarkerUpdates,
@@ -138,6 +141,7 @@ fn filter_findings(status: &Status, found: &mut Vec<String>) {
     if let Some(wrong) = status.encoders.wrong_directions {
         found.push(format!("{wrong} (images and IMU show the climber's motion)"));
     }
+    found.extend(rig_evidence::findings(&status.file_errors));
     let largest = |first: usize| status.constants.fixed_rows::<3>(first).amax();
     if status.pixel_noise_factor > PIXEL_NOISE {
         found.push(format!(

@@ -2,7 +2,10 @@
 
 use crate::{
     adaptation::imu_noise::Densities,
-    ekf::calibration::{Constants, MARKERS, OFFSETS},
+    ekf::{
+        calibration::{Constants, MARKERS, OFFSETS},
+        consider::FileErrors,
+    },
     input::imu_stamps::Bursts,
     measurements::rope::Rope,
 };
@@ -97,6 +100,8 @@ pub struct Status {
     pub constants: Constants,
     /// Factor on the markers' claimed sigma that their innovations require.
     pub pixel_noise_factor: f64,
+    /// Errors of the rig's files that images and IMU show; zero where they show none.
+    pub file_errors: FileErrors,
     /// Rope as identified, where one is configured.
     pub rope: Option<Rope>,
     /// Counters.
@@ -104,11 +109,11 @@ pub struct Status {
 }
 
 /// Trust in the encoders.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct EncoderStatus {
     /// They contradict the estimate and are not used.
     pub suspended: bool,
-    /// What is wrong with their directions or stamps, as images and IMU show.
+    /// What is wrong with their directions, as images and IMU show.
     pub wrong_directions: Option<&'static str>,
 }
 

@@ -26,6 +26,8 @@ pub struct EncoderReading {
     pub values: Vector3<f64>,
     /// Variance of each, m², m², rad².
     pub variance: Vector3<f64>,
+    /// Rates by the readings before this one, per s: others would correlate with its error.
+    pub rates: Vector3<f64>,
     /// Factor on the variance of a moving climber's reading, already contained in `variance`.
     pub multiplicity: Vector3<f64>,
     /// Time offset with which the reading was placed on the IMU's time line, s.
@@ -72,7 +74,7 @@ pub fn update(
     for axis in 0..3 {
         let residual = innovation_at(state, reading, late).residual[axis];
         let h = [(CLIMBER + axis, 1.0), (CLIMBER_RATE + axis, late)];
-        let by = by_parameter(axis, reading.values[axis], state.climber_rate[axis]);
+        let by = by_parameter(axis, reading.values[axis], reading.rates[axis]);
         update::scalar(state, &h, residual, reading.variance[axis], &by);
     }
     state.shift_time(imu, state.time_offset - before, gravity);
@@ -111,6 +113,7 @@ mod tests {
         let reading = EncoderReading {
             values: Vector3::new(0.31, -0.2, 3.1 - std::f64::consts::TAU),
             variance: Vector3::repeat(1e-6),
+            rates: Vector3::zeros(),
             multiplicity: Vector3::repeat(1.0),
             time_offset: 0.0,
         };

@@ -10,14 +10,17 @@ use super::{
         by_calibration, innovation_spread, layout_spread, linearize, mean_variance,
         measurement_noise, times_error,
     },
-    marker_solution::{Prediction, count, covariance_times, largest_consistent, solve},
+    marker_solution::{Prediction, Solution, count, covariance_times, largest_consistent, solve},
 };
-use crate::ekf::{
-    calibration::OFFSETS,
-    consider::{self, PARAMETERS},
-    propagation::ImuReading,
-    state::{ATTITUDE, CLIMBER, N, POSITION, State},
-    update::subtract_square,
+use crate::{
+    ekf::{
+        calibration::OFFSETS,
+        consider::{self, FILE_ERRORS, MARKERS, PARAMETERS, SIZE},
+        propagation::ImuReading,
+        state::{ATTITUDE, CLIMBER, N, POSITION, State},
+        update::subtract_square,
+    },
+    health::rig_evidence::ImageEvidence,
 };
 use nalgebra::{Cholesky, Matrix2, SMatrix, SVector, Vector2};
 
@@ -125,6 +128,8 @@ pub struct ImageInnovation {
     pub mean_variance: Vector2<f64>,
     /// What the correction leaves of each marker's residual, px; NaN where there is none.
     pub left: [Vector2<f64>; 4],
+    /// What the used markers show of errors of the rig's files.
+    pub evidence: ImageEvidence,
 }
 
 impl ImageInnovation {
@@ -154,6 +159,7 @@ pub fn update(
         against_prediction: None,
         mean_variance: Vector2::zeros(),
         left: [Vector2::repeat(f64::NAN); 4],
+        evidence: ImageEvidence::default(),
     };
     if let (Some(sigma), true) = (image.layout_doubt, apply) {
         state.calibration.open_layout(f64::from(sigma));
@@ -207,6 +213,7 @@ pub fn update(
     let Some((_, solution)) = best else { return record };
     record.used = count(&chosen) as u32;
     record.nis = solution.nis;
+    record.evidence = evidence(&solution, geometry);
     if apply {
         let offset = state.time_offset;
         state.add(&solution.step);
@@ -225,6 +232,17 @@ pub fn update(
         subtract_square(&mut state.covariance, &solution.root);
     }
     record
+}
+
+/// Returns what the markers of a solution show of errors of the rig's files.
+fn evidence(solution: &Solution, geometry: &Geometry) -> ImageEvidence {
+    let by_offset = solution.by_parameter.fixed_columns::<OFFSETS>(MARKERS);
+    let mut by_error = SMatrix::<f64, 8, FILE_ERRORS>::zeros();
+    by_error
+        .fixed_columns_mut::<SIZE>(0)
+        .copy_from(&solution.by_parameter.fixed_columns::<SIZE>(0));
+    by_error.set_column(SIZE, &(by_offset * consider::size(1.0, &geometry.markers)));
+    ImageEvidence { by_error, whitened: solution.whitened }
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@
 mod common;
 mod encoders;
 mod encoders_alone;
+mod files;
 mod imu_bursts;
 mod starts;
 mod stuck;

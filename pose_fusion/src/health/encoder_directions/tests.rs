@@ -1,4 +1,4 @@
-//! Wrong directions and stamps are named, right ones are not.
+//! Wrong directions are named, right ones are not.
 
 use super::*;
 
@@ -42,19 +42,6 @@ fn each_wrong_direction_is_named_and_right_ones_are_not() {
         };
         assert_eq!(named(&read), Some(text));
     }
-}
-
-#[test]
-fn late_and_early_stamps_are_named() {
-    let named = |delay: f64| {
-        let mut directions = EncoderDirections::default();
-        add(&mut directions, 0.0..10.0, |t| climber(t - delay));
-        directions.wrong()
-    };
-    for delay in [0.08, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5] {
-        assert_eq!([delay, -delay].map(named), STAMPS.map(Some), "{delay} s");
-    }
-    assert_eq!([0.0, 0.03, -0.03].map(named), [None; 3]);
 }
 
 #[test]
