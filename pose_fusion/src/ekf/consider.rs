@@ -78,8 +78,9 @@ impl Uncertainty {
         for (variance, sigma) in self.variances.iter_mut().zip(&sigmas.fixed_rows::<SIZE>(0)) {
             *variance = variance.max(sigma * sigma);
         }
-        if sigmas[SIZE] != 0.0 {
-            self.size = size(sigmas[SIZE], markers);
+        let size = size(sigmas[SIZE], markers);
+        if size.norm() > self.size.norm() {
+            self.size = size;
         }
     }
 

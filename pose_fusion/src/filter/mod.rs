@@ -103,6 +103,7 @@ impl Filter {
             let geometry = Geometry::new(&self.setup.rig, camera.clone());
             let readout = self.setup.config.clock.image_readout;
             self.setup.geometry = Some(Geometry { readout, ..geometry });
+            self.evidence = RigEvidence::default();
         }
     }
 

@@ -109,7 +109,7 @@ pub struct Status {
 }
 
 /// Trust in the encoders.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct EncoderStatus {
     /// They contradict the estimate and are not used.
     pub suspended: bool,

@@ -14,6 +14,8 @@ use rig_model::wrap_angle;
 
 /// Largest acceleration of a climber: m/s², m/s², rad/s² (simulated end stop: 36 m/s²).
 const END_STOP_ACCELERATION: f64 = 40.0;
+/// No climber is faster, m/s and rad/s.
+const FASTEST: f64 = 3.0;
 /// Beyond this span the images decide where the climber went, s.
 const LONGEST: f64 = 0.1;
 /// NIS (one degree of freedom) above which a reading contradicts the model of the motion (5 sigma).
@@ -74,7 +76,10 @@ pub fn update(
     for axis in 0..3 {
         let residual = innovation_at(state, reading, late).residual[axis];
         let h = [(CLIMBER + axis, 1.0), (CLIMBER_RATE + axis, late)];
-        let by = by_parameter(axis, reading.values[axis], reading.rates[axis]);
+        // Readings that leapt give no rate.
+        let given = Some(reading.rates[axis]).filter(|rate| rate.abs() < FASTEST);
+        let rate = given.unwrap_or(state.climber_rate[axis]);
+        let by = by_parameter(axis, reading.values[axis], rate);
         update::scalar(state, &h, residual, reading.variance[axis], &by);
     }
     state.shift_time(imu, state.time_offset - before, gravity);

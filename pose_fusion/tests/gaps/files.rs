@@ -4,7 +4,7 @@ use super::*;
 use nalgebra::Vector3;
 use pose_fusion::{
     RigCheck,
-    ekf::consider::{FOCAL, MOUNTING, SIZE},
+    ekf::consider::{FOCAL, FileErrors, MOUNTING, SIZE},
 };
 use rig_model::{CameraModel, Rig};
 
@@ -66,6 +66,10 @@ fn wrong_files_widen_the_covariance_and_are_named() {
             if named.is_empty() {
                 assert!(findings.is_empty(), "{about}");
             } else {
+                // What was found with another camera is forgotten.
+                fusion.handle(Input::Camera(simulated::camera()));
+                let forgotten = fusion.status().file_errors == FileErrors::zeros();
+                assert_eq!(forgotten, named == "focal length", "{about}");
                 assert!(findings.iter().any(|finding| finding.contains(named)), "{about}");
             }
         }
