@@ -72,7 +72,7 @@ impl Uncertainty {
         self.size *= factor;
     }
 
-    /// Widens the standard deviations to twice the errors that images show ([`FOUND`]).
+    /// Widens the standard deviations to twice the errors that images show.
     pub fn open(&mut self, shown: &FileErrors, markers: &MarkerLayout) {
         let sigmas = shown / FOUND;
         for (variance, sigma) in self.variances.iter_mut().zip(&sigmas.fixed_rows::<SIZE>(0)) {

@@ -184,10 +184,11 @@ impl Filter {
         let excused =
             self.disturbances.is_climber_disturbed(at, CLIMBER_SETTLING) || moves_off || missing;
         let settled = self.monitor.initialized_at.is_some_and(|i| stamp.seconds_since(i) > SETTLED);
+        // Early stamps look like missing readings: those are no excuse here.
+        if record.used >= 3 && settled && !self.trust.is_suspended() && !self.is_without_imu() {
+            self.evidence.add(stamp, &record.evidence);
+        }
         if record.used >= 3 && !excused && settled {
-            if !self.trust.is_suspended() && !self.is_without_imu() {
-                self.evidence.add(stamp, &record.evidence);
-            }
             let c = &self.setup.config;
             self.images.rope.compare(
                 &c.pendulum,

@@ -5,9 +5,7 @@
 //! last images give θ. It is never applied: errors that are certain and large widen the covariance
 //! and are reported. Equations: `docs/src/equations.md`, "Evidence of errors of the files".
 
-use crate::ekf::consider::{
-    CLIMBER_OFFSET, ENCODER_SCALE, FILE_ERRORS, FOCAL, FileErrors, MOUNTING, SIZE,
-};
+use crate::ekf::consider::{CLIMBER_OFFSET, FILE_ERRORS, FOCAL, FileErrors, MOUNTING, SIZE};
 use nalgebra::{Cholesky, SMatrix, SVector};
 use rig_model::Stamp;
 
@@ -86,27 +84,30 @@ impl RigEvidence {
 pub fn findings(wrong: &FileErrors) -> Vec<String> {
     let mounting = wrong.fixed_rows::<3>(MOUNTING).norm();
     let percent = |k: usize| 100.0 * wrong[k].abs();
+    let milliseconds = 1e3 * wrong[CLIMBER_OFFSET].abs();
     let all = [
-        (wrong[FOCAL], format!("`camera_info` has a focal length {:.1} % off", percent(FOCAL))),
-        (mounting, format!("`camera.orientation` is {:.1}° off", mounting.to_degrees())),
-        (wrong[ENCODER_SCALE], format!("the encoder scale is {:.1} % off", percent(ENCODER_SCALE))),
+        (
+            wrong[FOCAL],
+            format!("the focal length of `camera_info` is about {:.1} %", percent(FOCAL)),
+        ),
+        (mounting, format!("`camera.orientation` is about {:.1}°", mounting.to_degrees())),
         (
             wrong[CLIMBER_OFFSET],
             format!(
-                "the encoders' stamps are {:.0} ms beside the images' (`clock.climber_offset`)",
-                1e3 * wrong[CLIMBER_OFFSET].abs()
+                "the offset of the encoders' stamps from the images' (`clock.climber_offset`) is \
+                 about {milliseconds:.0} ms"
             ),
         ),
         (
             wrong[SIZE],
             format!(
-                "the layout in `markers` is {:.1} % too large or small (or the accelerometer's scale)",
+                "the size of the layout in `markers` (or the accelerometer's scale) is about {:.1} %",
                 percent(SIZE)
             ),
         ),
     ];
     let found = all.into_iter().filter(|(error, _)| *error != 0.0);
-    found.map(|(_, text)| format!("{text}, about, as images and IMU show")).collect()
+    found.map(|(_, text)| format!("images and IMU show that {text} off")).collect()
 }
 
 #[cfg(test)]

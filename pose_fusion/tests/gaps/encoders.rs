@@ -191,8 +191,15 @@ fn encoders_in_wrong_directions_are_named_and_the_pose_is_lost() {
 fn late_and_early_stamps_of_the_encoders_widen_the_covariance_and_are_named() {
     // Seed, delay (s), and poses of the last 20 s that may be beyond three sigma: the longer the
     // delay, the less of it is found.
-    let rows =
-        [(1, 0.0, 0), (2, 0.0, 0), (1, 0.07, 20), (2, -0.07, 20), (3, 0.15, 20), (4, 0.4, 200)];
+    let rows = [
+        (1, 0.0, 0),
+        (2, 0.0, 0),
+        (1, 0.07, 20),
+        (2, -0.07, 20),
+        (3, -0.15, 20),
+        (3, 0.15, 20),
+        (4, 0.4, 200),
+    ];
     for (seed, delay, allowed) in rows {
         let motion = MotionConfig { duration: 40.0, ..MotionConfig::nominal(900 + seed) };
         let run = simulated::run(motion, &SensorConfig::nominal(seed));
