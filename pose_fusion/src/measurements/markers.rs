@@ -236,11 +236,9 @@ pub fn update(
 
 /// Returns what the markers of a solution show of errors of the rig's files.
 fn evidence(solution: &Solution, geometry: &Geometry) -> ImageEvidence {
+    // The parameter in the place of the size is none of these errors.
+    let mut by_error = solution.by_parameter.fixed_columns::<FILE_ERRORS>(0).into_owned();
     let by_offset = solution.by_parameter.fixed_columns::<OFFSETS>(MARKERS);
-    let mut by_error = SMatrix::<f64, 8, FILE_ERRORS>::zeros();
-    by_error
-        .fixed_columns_mut::<SIZE>(0)
-        .copy_from(&solution.by_parameter.fixed_columns::<SIZE>(0));
     by_error.set_column(SIZE, &(by_offset * consider::size(1.0, &geometry.markers)));
     ImageEvidence { by_error, whitened: solution.whitened }
 }
