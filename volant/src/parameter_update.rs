@@ -14,6 +14,15 @@ use std::{
 /// Every node: where the rig's keys are.
 pub const RIG: &str = "/**";
 
+/// The fusion node, in any namespace.
+pub const FUSION: &str = "/**/pose_fusion";
+/// How well the places of the markers are known, each axis, m (1 sigma).
+pub const MARKER_SIGMA: &str = "calibration.marker_sigma";
+/// How well the size of their layout is known, relative (1 sigma).
+pub const LAYOUT_SIGMA: &str = "calibration.layout_sigma";
+/// How well the orientation of the camera is known, each axis, rad (1 sigma).
+pub const MOUNTING_SIGMA: &str = "calibration.mounting_sigma";
+
 /// Backups beside a file: `.bak`, `.bak1` …
 const BACKUPS: usize = 1000;
 
@@ -33,6 +42,18 @@ impl Setting {
     pub fn rig(name: impl Into<String>, value: ParameterValue) -> Self {
         Self { node: RIG.to_owned(), name: name.into(), value }
     }
+}
+
+/// Returns the setting of a standard deviation of the fusion node, where the rig file has one: that
+/// of the survey or of a former calibration. Without one the node's default holds.
+///
+/// # Errors
+/// A file that is not readable.
+pub fn sigma(rig: &Path, name: &str, value: f64) -> Result<Option<Setting>> {
+    let shown = || format!("{}: not readable", rig.display());
+    let file = ParameterFile::parse(&files::read_text(rig).with_context(shown)?)?;
+    let (known, node) = (file.for_node(FUSION).contains_key(name), FUSION.to_owned());
+    Ok(known.then(|| Setting { node, name: name.to_owned(), value: number(value, 6) }))
 }
 
 /// Result of an update.

@@ -74,6 +74,7 @@ fn an_empty_rig_file_becomes_as_good_as_the_true_one() {
     for color in MarkerColor::ALL {
         writeln!(answers, "{}", tape(rig.markers.centers[color].coords)).unwrap();
     }
+    answers += "0.1\n";
     let camera = rig.climber_from_camera.translation.vector + Vector3::new(0.004, -0.003, 0.002);
     let imu = rig.imu.volant_from_imu.translation.vector + Vector3::new(0.003, -0.002, 0.003);
     writeln!(answers, "{}\n0.7071 0.7071 0 0\n{}\n0 0 0 1", tape(camera), tape(imu)).unwrap();
@@ -83,6 +84,15 @@ fn an_empty_rig_file_becomes_as_good_as_the_true_one() {
     assert_eq!(status, Some(0), "a pause without a failed step: {printed}");
     assert!(printed.contains("3/8 camera") && printed.contains("paused"), "{printed}");
     assert!(!printed.contains("FAIL"), "{printed}");
+    let sigma = |name: &str| {
+        let parameters = ParameterFile::parse(&place.text("rig.yaml")).unwrap();
+        parameters.for_node("/pose_fusion").get(name).and_then(ParameterValue::as_f64)
+    };
+    assert_eq!(sigma("calibration.marker_sigma"), Some(1e-4));
+    let radii = rig.markers.centers.0.iter().map(|c| c.coords.xy().norm_squared());
+    let expected = 1e-4 / radii.sum::<f64>().sqrt();
+    let layout = sigma("calibration.layout_sigma").unwrap();
+    assert!((layout / expected - 1.0).abs() < 0.1, "{layout} {expected}");
 
     // It goes on with the camera. The lens is calibrated.
     let mut answers = String::from("\nswing.mcap\n\n\nswing.mcap\n");
@@ -98,6 +108,12 @@ fn an_empty_rig_file_becomes_as_good_as_the_true_one() {
     for step in ["camera", "intrinsics", "encoders", "mounting", "offsets", "acceptance"] {
         assert!(printed.contains(&format!("{step:<12}PASS")), "{step}: {printed}");
     }
+    // The recording knows the places better than the operator, and not the layout's size.
+    let places = sigma("calibration.marker_sigma").unwrap();
+    assert!((3e-5..8e-5).contains(&places), "{places}");
+    assert_eq!(sigma("calibration.layout_sigma"), Some(layout));
+    let tilt = sigma("calibration.mounting_sigma").unwrap();
+    assert!((1e-5..3e-3).contains(&tilt), "{tilt}");
     let html = place.text("page.html");
     assert!(html.contains("Bring-up: accepted") && html.contains("joint bridge"));
     assert!(place.read("rig.yaml.bringup/markers.pdf").starts_with(b"%PDF"));
@@ -206,7 +222,7 @@ fn lengths_in_meters_are_rejected_at_the_prompts_for_millimeters() {
     let place = Place::new();
     let centers =
         "0.15 0.15 0.02\n15O 150 150 20\n150 150 20\n-150 150 20\n-150 -150 20\n150 -150 20\n";
-    let mountings = "0 0 -100\n0 0 0 0\n0.7071 0.7071 0 0\n0 0 0\n0 0 0 1\n";
+    let mountings = "0\n0.5\n0 0 -100\n0 0 0 0\n0.7071 0.7071 0 0\n0 0 0\n0 0 0 1\n";
     let answers = format!("\n0.076\n76000\n80\n{centers}{mountings}");
     let (_, printed) = bringup(&place, "markers --rig rig.yaml", &answers);
     for needle in [
@@ -214,6 +230,7 @@ fn lengths_in_meters_are_rejected_at_the_prompts_for_millimeters() {
         "the side is 76000 mm",
         "the position is 0.15 0.15 0.02 mm: give it in millimeters",
         "write 3 numbers",
+        "0 mm is not possible: calipers reach 0.2",
         "its length is 0.000",
         "markers     PASS",
     ] {

@@ -6,6 +6,7 @@ mod findings;
 mod groups;
 mod inertial;
 mod layout;
+mod places;
 mod rates;
 mod select;
 mod stamps;
@@ -140,6 +141,7 @@ pub fn check(
         }
     };
     let change: DVector<f64> = outcome.parameters.minus(&file);
+    places::examine(&mut state, &outcome, &change);
     // The samples are shifted by them, so that the changes are relative to them.
     (file.climber_clock, file.readout) = (clocks.climber_offset, clocks.image_readout);
     Ok(findings::report(&state, &file, &outcome, &change))

@@ -8,9 +8,9 @@ use super::groups::{Cause, GROUPS, Group};
 use crate::{
     CalibrationError,
     adjustment::Adjustment,
-    parameters::{FORCE_BIAS, PARAMETERS, Parameters, RATE_BIAS},
+    parameters::{FORCE_BIAS, MARKERS, PARAMETERS, Parameters, RATE_BIAS},
 };
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, SMatrix};
 use rig_model::Distortion;
 
 /// Cost that a group must explain for each of its parameters, in units of the noise, beyond
@@ -53,6 +53,8 @@ pub(crate) struct Outcome {
     pub explanations: Vec<Explanation>,
     /// Per parameter: further change if its group alone were freed, and its standard deviation.
     pub alone: Vec<(f64, f64)>,
+    /// Covariance of the markers' places, m².
+    pub markers: SMatrix<f64, 12, 12>,
     /// Squared residual per degree of freedom.
     pub noise: f64,
     /// Images used, and rejected ones.
@@ -171,6 +173,9 @@ fn explain_files(
         work.solve()?;
     };
     let freed_now = causes(&freed);
+    let covariance = local.step(&priors(&lens, &freed_now, true)).ok_or(diverged)?.2;
+    let first = MARKERS.start;
+    let markers = covariance.fixed_view::<12, 12>(first, first) * noise;
     let mut alone = vec![(0.0, f64::INFINITY); PARAMETERS];
     for group in &GROUPS {
         let mut with = freed_now.clone();
@@ -188,6 +193,7 @@ fn explain_files(
         parameters: work.parameters,
         explanations: freed,
         alone,
+        markers,
         noise,
     })
 }

@@ -221,3 +221,19 @@ fn a_rolling_shutter_is_named_with_its_readout_time() {
     let found = check(&samples, &rig, clocks, None).unwrap().findings;
     assert!(found.len() == 1 && found[0].text.contains("show no rolling shutter"), "{found:?}");
 }
+
+#[test]
+fn a_marker_that_is_a_millimeter_off_is_suspect_and_named() {
+    let (samples, rig) = recorded();
+    assert!(check(&samples, &rig, Clocks::default(), None).unwrap().findings.is_empty());
+    for (marker, axis) in [(0, 0), (1, 1), (2, 0), (3, 1)] {
+        for millimeters in [-1.0, 1.0] {
+            let mut wrong = rig.clone();
+            wrong.markers.centers.0[marker][axis] += 1e-3 * millimeters;
+            let found = check(&samples, &wrong, Clocks::default(), None).unwrap().findings;
+            let [one] = &found[..] else { panic!("{marker} {axis} {millimeters}: {found:?}") };
+            assert_eq!((one.key.as_str(), one.verdict), ("markers", Verdict::Suspect), "{one:?}");
+            assert!(one.text.contains("tilts the pose"), "{one:?}");
+        }
+    }
+}

@@ -75,6 +75,7 @@ pub const FAULTS: &[Fault] = &[
     seen("layout × 1.1", |r| P::Layout(0.1).apply(r), SCALE),
     seen("layout in cm", |r| each_center(&mut r.rig, |c| *c *= 100.0), &["markers.red"]),
     seen("red marker 20 cm off", |r| r.rig.markers.centers.0[0].x += 0.2, &["markers.red"]),
+    seen("yellow marker 1 mm off", |r| r.rig.markers.centers.0[3].x += 1e-3, &["markers"]),
     seen("red and green swapped", |r| r.rig.markers.centers.0.swap(0, 1), &["markers.red"]),
     seen(
         "layout mirrored",

@@ -8,7 +8,7 @@ use node_kit::outln;
 use rig_calibration::{Refinement, climber::AXES};
 use rig_model::topics;
 use ros_parameters::ParameterFile;
-use volant::parameter_update::{Setting, number};
+use volant::parameter_update::{FUSION, Setting, number};
 
 /// Position of a platform on the floor, m: the origin below it.
 const RESTING: [f64; 3] = [0.0, 0.0, 0.1];
@@ -19,8 +19,7 @@ const LARGEST_POSITION: f64 = 50.0;
 /// Item of a jog that has determined the camera's mounting.
 const CORRECTED: &str = "camera mounting corrected";
 
-/// Node, in any namespace, and parameter of the climber's time offset.
-const FUSION: &str = "/**/pose_fusion";
+/// Parameter of the climber's time offset.
 const OFFSET: &str = "clock.climber_offset";
 
 /// Topics of a recording in which the rig moves.

@@ -6,17 +6,23 @@ use crate::{
     markers, settings,
 };
 use anyhow::{Context, Result};
-use nalgebra::UnitQuaternion;
+use nalgebra::{UnitQuaternion, Vector3};
 use node_kit::{files, outln};
 use rig_calibration::allan::Sensor;
 use rig_model::{MarkerColor, topics};
-use ros_parameters::ParameterFile;
+use ros_parameters::{ParameterFile, ParameterValue};
 use std::{path::Path, process::Command};
-use volant::parameter_update::{RIG, Setting, list, number, update};
+use volant::parameter_update::{
+    FUSION, LAYOUT_SIGMA, MARKER_SIGMA, MOUNTING_SIGMA, RIG, Setting, list, number, update,
+};
 
 /// Rig file of a common rig.
 const TEMPLATE: &str = include_str!("../../../../../launch_config/config/rig.yaml");
 
+/// Standard deviation of a center that a steel rule measures, mm.
+const MEASURED: f64 = 0.5;
+/// Standard deviation of a mounting whose orientation is a multiple of 90°, rad: 2°.
+const UNALIGNED: f64 = 0.035;
 /// Sides of the squares, mm: those that the rig file accepts.
 const SIDES: std::ops::RangeInclusive<f64> = 5.0..=500.0;
 
@@ -87,6 +93,14 @@ pub fn markers(walk: &mut Walk) -> Result<()> {
         *center = answer.into();
         settings.push(Setting::rig(format!("markers.{color}"), list(&answer.map(|c| c / 1e3))));
     }
+    let question = "  how well are the centers measured, mm (1 sigma)";
+    let [known] = dialog::numbers(question, [MEASURED], |[known]| {
+        let remedy = "calipers reach 0.2, a steel rule 0.5, a tape 1";
+        let possible = (0.01..=20.0).contains(known);
+        if possible { Ok(()) } else { Err(format!("{known} mm is not possible: {remedy}")) }
+    })?;
+    settings.extend(precision(known, &centers));
+    settings.push(of_fusion(MOUNTING_SIGMA, number(UNALIGNED, 4)));
     outln!("  The camera in the climber's frame: x y z of the lens, mm; rotation as quaternion.")?;
     settings.extend(mounting("camera", &rig.climber_from_camera)?);
     outln!("  The IMU in the platform's frame.")?;
@@ -94,6 +108,20 @@ pub fn markers(walk: &mut Walk) -> Result<()> {
     set(walk, &settings)?;
     let [a, b] = [MarkerColor::Red, MarkerColor::Blue].map(|c| centers[c.index()]);
     walk.note("diagonal", format!("red - blue {:.1} mm: compare with a tape", (a - b).norm()))
+}
+
+/// How well places of the markers and size of the layout are known, from the standard deviation of
+/// each coordinate; all in mm.
+fn precision(known: f64, centers: &[Vector3<f64>; 4]) -> [Setting; 2] {
+    let mean = centers.iter().sum::<Vector3<f64>>() / 4.0;
+    let arms = centers.iter().map(|c| (c - mean).xy().norm_squared()).sum::<f64>().sqrt();
+    let size = (known / arms.max(1.0)).min(0.1);
+    [of_fusion(MARKER_SIGMA, number(known / 1e3, 6)), of_fusion(LAYOUT_SIGMA, number(size, 5))]
+}
+
+/// Setting of the fusion node.
+fn of_fusion(name: &str, value: ParameterValue) -> Setting {
+    Setting { node: FUSION.to_owned(), name: name.to_owned(), value }
 }
 
 /// Rejects a position that is in meters, or beyond the rig file's limit of 100 m.
@@ -146,8 +174,8 @@ pub fn imu(walk: &mut Walk) -> Result<()> {
     for loss in losses {
         walk.note("recording", loss)?;
     }
-    let mean = |of: fn(&rig_model::ImuSample) -> nalgebra::Vector3<f64>| {
-        samples.iter().map(of).sum::<nalgebra::Vector3<f64>>() / samples.len().max(1) as f64
+    let mean = |of: fn(&rig_model::ImuSample) -> Vector3<f64>| {
+        samples.iter().map(of).sum::<Vector3<f64>>() / samples.len().max(1) as f64
     };
     let (force, rate) = (mean(|s| s.specific_force), mean(|s| s.angular_velocity));
     let g = force.norm();
@@ -158,7 +186,7 @@ pub fn imu(walk: &mut Walk) -> Result<()> {
     )?;
     let rig = read_rig(&walk.rig)?;
     let up = rig.imu.volant_from_imu.rotation * force.normalize();
-    let tilt = up.angle(&nalgebra::Vector3::z()).to_degrees();
+    let tilt = up.angle(&Vector3::z()).to_degrees();
     walk.check(
         tilt < 20.0,
         "imu.orientation",

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use volant::{
     calibration::read_markers,
     command_line::UsageError,
-    parameter_update::{Setting, list, number},
+    parameter_update::{MOUNTING_SIGMA, Setting, list, number, sigma},
     replay::{Cores, TopicNames, summarize},
 };
 use volant_msgs::{Message, sensor_msgs::msg::JointState};
@@ -93,7 +93,10 @@ pub fn run(arguments: &Arguments) -> Result<ClimberCalibration> {
         None => live(arguments, &rig, &present)?,
     };
     print(&found, &present)?;
-    let camera = if arguments.camera { camera_settings(&found, &rig) } else { vec![] };
+    let mut camera = if arguments.camera { camera_settings(&found, &rig) } else { vec![] };
+    if let (true, Some([x, y])) = (arguments.camera, found.camera_tilt) {
+        camera.extend(sigma(&arguments.rig, MOUNTING_SIGMA, x.1.max(y.1))?);
+    }
     let mut settings = settings(&found, &arguments.node);
     if arguments.params_file.is_some() && !camera.is_empty() {
         Output::default().update(&arguments.rig, &camera)?;

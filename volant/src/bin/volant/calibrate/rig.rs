@@ -9,10 +9,10 @@ use anyhow::{Context, Result, bail, ensure};
 use node_kit::outln;
 use rig_calibration::{Estimate, MISFIT, Refinement};
 use ros_parameters::ParameterFile;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use volant::{
     calibration::refine_from_bag,
-    parameter_update::{Setting, list},
+    parameter_update::{MARKER_SIGMA, MOUNTING_SIGMA, Setting, list, sigma},
 };
 
 #[derive(clap::Args)]
@@ -56,7 +56,8 @@ pub fn run(arguments: &Arguments) -> Result<Estimate> {
         estimate.reduced,
         arguments.rig.display()
     );
-    let changes = changes(&estimate);
+    let mut changes = changes(&estimate);
+    changes.extend(sigmas(&estimate, &arguments.rig)?);
     check_effect(&changes, arguments)?;
     arguments.output.update(&arguments.rig, &changes)?;
     Ok(estimate)
@@ -120,6 +121,21 @@ fn print(estimate: &Estimate) -> Result<()> {
          determine them."
     )?;
     Ok(())
+}
+
+/// How well the recording determines markers and camera, where the file has a value of the survey.
+fn sigmas(estimate: &Estimate, rig: &Path) -> Result<Vec<Setting>> {
+    let mut settings = vec![];
+    for (parameters, name, unit) in
+        [("marker ", MARKER_SIGMA, 1e-3), ("camera rotation", MOUNTING_SIGMA, 1f64.to_radians())]
+    {
+        let rows = || estimate.rows.iter().filter(|r| r.name.starts_with(parameters));
+        if rows().all(|r| r.refinement != Refinement::Undetermined) {
+            let found = rows().map(|r| r.deviation * unit).fold(0.0, f64::max);
+            settings.extend(sigma(rig, name, found)?);
+        }
+    }
+    Ok(settings)
 }
 
 /// What the recording determines, as settings of the rig file.
