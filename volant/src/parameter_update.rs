@@ -23,6 +23,8 @@ pub const LAYOUT_SIGMA: &str = "calibration.layout_sigma";
 /// How well the orientation of the camera is known, each axis, rad (1 sigma).
 pub const MOUNTING_SIGMA: &str = "calibration.mounting_sigma";
 
+/// Share by which a standard deviation may differ from one that is the same.
+const NEARLY: f64 = 0.1;
 /// Backups beside a file: `.bak`, `.bak1` …
 const BACKUPS: usize = 1000;
 
@@ -45,15 +47,29 @@ impl Setting {
 }
 
 /// Returns the setting of a standard deviation of the fusion node, where the rig file has one: that
-/// of the survey or of a former calibration. Without one the node's default holds.
+/// of the survey or of a former calibration. Without one the node's default holds. Nothing changes
+/// where it is that already, nearly; `kept`: or smaller.
 ///
 /// # Errors
 /// A file that is not readable.
-pub fn sigma(rig: &Path, name: &str, value: f64) -> Result<Option<Setting>> {
+pub fn sigma(
+    rig: &Path,
+    namespace: &str,
+    name: &str,
+    value: f64,
+    kept: bool,
+) -> Result<Option<Setting>> {
     let shown = || format!("{}: not readable", rig.display());
     let file = ParameterFile::parse(&files::read_text(rig).with_context(shown)?)?;
-    let (known, node) = (file.for_node(FUSION).contains_key(name), FUSION.to_owned());
-    Ok(known.then(|| Setting { node, name: name.to_owned(), value: number(value, 6) }))
+    let own = format!("/{}/pose_fusion", namespace.trim_matches('/')).replace("//", "/");
+    let of = |node: &str| file.for_node(node).get(name).and_then(ParameterValue::as_f64);
+    let found = [FUSION, &own].into_iter().find_map(|node| Some((node, of(node)?)));
+    let Some((node, old)) = found.filter(|(_, old)| !(kept && *old < value)) else {
+        return Ok(None);
+    };
+    let changes = (value / old - 1.0).abs() > NEARLY;
+    let (node, name) = (node.to_owned(), name.to_owned());
+    Ok(changes.then(|| Setting { node, name, value: number(value, 2) }))
 }
 
 /// Result of an update.

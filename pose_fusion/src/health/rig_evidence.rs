@@ -90,7 +90,13 @@ pub fn findings(wrong: &FileErrors) -> Vec<String> {
             wrong[FOCAL],
             format!("the focal length of `camera_info` is about {:.1} %", percent(FOCAL)),
         ),
-        (mounting, format!("`camera.orientation` is about {:.1}°", mounting.to_degrees())),
+        (
+            mounting,
+            format!(
+                "`camera.orientation` (or a marker beside its place) is about {:.1}°",
+                mounting.to_degrees()
+            ),
+        ),
         (
             wrong[CLIMBER_OFFSET],
             format!(

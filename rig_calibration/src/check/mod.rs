@@ -141,8 +141,12 @@ pub fn check(
         }
     };
     let change: DVector<f64> = outcome.parameters.minus(&file);
-    places::examine(&mut state, &outcome, &change);
     // The samples are shifted by them, so that the changes are relative to them.
     (file.climber_clock, file.readout) = (clocks.climber_offset, clocks.image_readout);
-    Ok(findings::report(&state, &file, &outcome, &change))
+    let mut report = findings::report(&state, &file, &outcome, &change);
+    // Larger errors are mended first.
+    if report.findings.is_empty() {
+        report.findings.extend(places::examine(rig, &outcome, &change));
+    }
+    Ok(report)
 }

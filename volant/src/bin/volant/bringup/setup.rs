@@ -9,7 +9,7 @@ use anyhow::{Context, Result};
 use nalgebra::{UnitQuaternion, Vector3};
 use node_kit::{files, outln};
 use rig_calibration::allan::Sensor;
-use rig_model::{MarkerColor, topics};
+use rig_model::{MarkerColor, Rig, topics};
 use ros_parameters::{ParameterFile, ParameterValue};
 use std::{path::Path, process::Command};
 use volant::parameter_update::{
@@ -21,8 +21,8 @@ const TEMPLATE: &str = include_str!("../../../../../launch_config/config/rig.yam
 
 /// Standard deviation of a center that a steel rule measures, mm.
 const MEASURED: f64 = 0.5;
-/// Standard deviation of a mounting whose orientation is a multiple of 90°, rad: 2°.
-const UNALIGNED: f64 = 0.035;
+/// Standard deviation of a mounting whose orientation is a multiple of 90°, rad: 1°.
+const UNALIGNED: f64 = 0.0175;
 /// Sides of the squares, mm: those that the rig file accepts.
 const SIDES: std::ops::RangeInclusive<f64> = 5.0..=500.0;
 
@@ -93,35 +93,52 @@ pub fn markers(walk: &mut Walk) -> Result<()> {
         *center = answer.into();
         settings.push(Setting::rig(format!("markers.{color}"), list(&answer.map(|c| c / 1e3))));
     }
-    let question = "  how well are the centers measured, mm (1 sigma)";
-    let [known] = dialog::numbers(question, [MEASURED], |[known]| {
-        let remedy = "calipers reach 0.2, a steel rule 0.5, a tape 1";
-        let possible = (0.01..=20.0).contains(known);
-        if possible { Ok(()) } else { Err(format!("{known} mm is not possible: {remedy}")) }
-    })?;
-    settings.extend(precision(known, &centers));
-    settings.push(of_fusion(MOUNTING_SIGMA, number(UNALIGNED, 4)));
+    settings.extend(precision(walk, &rig, &centers)?);
     outln!("  The camera in the climber's frame: x y z of the lens, mm; rotation as quaternion.")?;
     settings.extend(mounting("camera", &rig.climber_from_camera)?);
     outln!("  The IMU in the platform's frame.")?;
     settings.extend(mounting("imu", &rig.imu.volant_from_imu)?);
     set(walk, &settings)?;
+    let turned = read_rig(&walk.rig)?.climber_from_camera.rotation;
+    let same = turned.angle_to(&rig.climber_from_camera.rotation) < 1e-3;
+    if !same || of_fusion(walk, MOUNTING_SIGMA)?.is_none() {
+        set(walk, &[fusion(MOUNTING_SIGMA, number(UNALIGNED, 3))])?;
+    }
     let [a, b] = [MarkerColor::Red, MarkerColor::Blue].map(|c| centers[c.index()]);
     walk.note("diagonal", format!("red - blue {:.1} mm: compare with a tape", (a - b).norm()))
 }
 
-/// How well places of the markers and size of the layout are known, from the standard deviation of
-/// each coordinate; all in mm.
-fn precision(known: f64, centers: &[Vector3<f64>; 4]) -> [Setting; 2] {
+/// Asks how well the centers are measured, and returns how well places and size of the layout are
+/// known. A calibration that knows the places better stays, unless they change.
+fn precision(walk: &Walk, rig: &Rig, centers: &[Vector3<f64>; 4]) -> Result<Vec<Setting>> {
     let mean = centers.iter().sum::<Vector3<f64>>() / 4.0;
-    let arms = centers.iter().map(|c| (c - mean).xy().norm_squared()).sum::<f64>().sqrt();
-    let size = (known / arms.max(1.0)).min(0.1);
-    [of_fusion(MARKER_SIGMA, number(known / 1e3, 6)), of_fusion(LAYOUT_SIGMA, number(size, 5))]
+    let squares = centers.iter().map(|c| (c - mean).xy().norm_squared());
+    let arms = squares.sum::<f64>().sqrt().max(1.0);
+    let before = of_fusion(walk, LAYOUT_SIGMA)?.map(|size| (size * arms * 100.0).round() / 100.0);
+    let question = "  standard deviation of a center's x or y, mm: calipers 0.2, a steel rule 0.5, a \
+                    tape 1";
+    let [known] = dialog::numbers(question, [before.unwrap_or(MEASURED)], |[known]| {
+        let possible = (0.01..=20.0).contains(known);
+        if possible { Ok(()) } else { Err(format!("{known} mm is not possible: 0.01 to 20")) }
+    })?;
+    let same =
+        rig.markers.centers.0.iter().zip(centers).all(|(a, b)| (a.coords * 1e3 - b).norm() < 1e-6);
+    if same && before == Some(known) {
+        return Ok(vec![]);
+    }
+    let size = (known / arms).min(0.1);
+    Ok(vec![fusion(MARKER_SIGMA, number(known / 1e3, 6)), fusion(LAYOUT_SIGMA, number(size, 3))])
 }
 
 /// Setting of the fusion node.
-fn of_fusion(name: &str, value: ParameterValue) -> Setting {
+fn fusion(name: &str, value: ParameterValue) -> Setting {
     Setting { node: FUSION.to_owned(), name: name.to_owned(), value }
+}
+
+/// Returns a number of the fusion node in the rig file.
+fn of_fusion(walk: &Walk, name: &str) -> Result<Option<f64>> {
+    let parameters = ParameterFile::parse(&read(&walk.rig)?)?.for_node(FUSION);
+    Ok(parameters.get(name).and_then(ParameterValue::as_f64))
 }
 
 /// Rejects a position that is in meters, or beyond the rig file's limit of 100 m.

@@ -55,7 +55,7 @@ pub struct Arguments {
     #[arg(long, value_name = "X,Y,Z", value_parser = position, allow_hyphen_values = true)]
     pub platform: Option<Vector3<f64>>,
     /// Also correct camera.position (x, y) and the tilt in camera.orientation of the rig file,
-    /// where the jog shows them
+    /// where the jog shows them, and calibration.mounting_sigma of pose_fusion where the file has it
     #[arg(long)]
     pub camera: bool,
     #[command(flatten)]
@@ -71,6 +71,9 @@ fn position(text: &str) -> Result<Vector3<f64>, String> {
         _ => Err("write it as X,Y,Z in meters, such as 0,0,0.12".to_owned()),
     }
 }
+
+/// Error of a camera's principal point that the jog takes for a tilt, rad: half a pixel of 500.
+const CENTER: f64 = 1e-3;
 
 /// Runs the command; returns what it found.
 pub fn run(arguments: &Arguments) -> Result<ClimberCalibration> {
@@ -94,8 +97,11 @@ pub fn run(arguments: &Arguments) -> Result<ClimberCalibration> {
     };
     print(&found, &present)?;
     let mut camera = if arguments.camera { camera_settings(&found, &rig) } else { vec![] };
-    if let (true, Some([x, y])) = (arguments.camera, found.camera_tilt) {
-        camera.extend(sigma(&arguments.rig, MOUNTING_SIGMA, x.1.max(y.1))?);
+    let turn = found.axes[2].as_ref().and_then(|turn| turn.zero);
+    // The zero of the turn contains the camera's yaw.
+    if let (true, Some([x, y]), Some(_)) = (arguments.camera, found.camera_tilt, turn) {
+        let (found, namespace) = (x.1.max(y.1).hypot(CENTER), &arguments.topics.namespace);
+        camera.extend(sigma(&arguments.rig, namespace, MOUNTING_SIGMA, found, false)?);
     }
     let mut settings = settings(&found, &arguments.node);
     if arguments.params_file.is_some() && !camera.is_empty() {

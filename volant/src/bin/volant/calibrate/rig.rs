@@ -20,7 +20,8 @@ pub struct Arguments {
     /// Bag with images (or climber/markers), camera_info, volant/imu/data and climber/transform
     /// (or climber/joint_states, which the rig file's parameters of climber_driver convert)
     pub bag: PathBuf,
-    /// Rig file as measured by hand, which is updated
+    /// Rig file as measured by hand, which is updated; with its calibration.marker_sigma and
+    /// calibration.mounting_sigma of pose_fusion, where it has them
     #[arg(long, value_name = "FILE")]
     pub rig: PathBuf,
     /// ROS 2 parameter file of the nodes, in addition to the rig file; repeatable
@@ -57,7 +58,7 @@ pub fn run(arguments: &Arguments) -> Result<Estimate> {
         arguments.rig.display()
     );
     let mut changes = changes(&estimate);
-    changes.extend(sigmas(&estimate, &arguments.rig)?);
+    changes.extend(sigmas(&estimate, arguments)?);
     check_effect(&changes, arguments)?;
     arguments.output.update(&arguments.rig, &changes)?;
     Ok(estimate)
@@ -124,15 +125,23 @@ fn print(estimate: &Estimate) -> Result<()> {
 }
 
 /// How well the recording determines markers and camera, where the file has a value of the survey.
-fn sigmas(estimate: &Estimate, rig: &Path) -> Result<Vec<Setting>> {
+fn sigmas(estimate: &Estimate, arguments: &Arguments) -> Result<Vec<Setting>> {
+    let namespace = &arguments.topics.namespace;
     let mut settings = vec![];
-    for (parameters, name, unit) in
-        [("marker ", MARKER_SIGMA, 1e-3), ("camera rotation", MOUNTING_SIGMA, 1f64.to_radians())]
-    {
-        let rows = || estimate.rows.iter().filter(|r| r.name.starts_with(parameters));
+    // The filter's markers are known in x and y only.
+    for (parameters, except, name, unit) in [
+        ("marker ", " z", MARKER_SIGMA, 1e-3),
+        ("camera rotation", "none", MOUNTING_SIGMA, 1f64.to_radians()),
+    ] {
+        let rows = || {
+            let rows = estimate.rows.iter().filter(|r| r.name.starts_with(parameters));
+            rows.filter(|r| !r.name.ends_with(except))
+        };
         if rows().all(|r| r.refinement != Refinement::Undetermined) {
             let found = rows().map(|r| r.deviation * unit).fold(0.0, f64::max);
-            settings.extend(sigma(rig, name, found)?);
+            // What agrees is kept, and was known better perhaps.
+            let kept = rows().all(|r| r.refinement == Refinement::Agrees);
+            settings.extend(sigma(&arguments.rig, namespace, name, found, kept)?);
         }
     }
     Ok(settings)
