@@ -9,28 +9,22 @@ use std::collections::HashMap;
 struct Fields<'a>(&'a [u8]);
 
 impl<'a> Fields<'a> {
-    fn take(&mut self, count: usize) -> Option<&'a [u8]> {
-        let (taken, rest) = self.0.split_at_checked(count)?;
-        self.0 = rest;
-        Some(taken)
-    }
-
     fn u16(&mut self) -> Option<u16> {
-        Some(u16::from_le_bytes(self.take(2)?.try_into().ok()?))
+        Some(u16::from_le_bytes(self.0.split_off(..2)?.try_into().ok()?))
     }
 
     fn u32(&mut self) -> Option<u32> {
-        Some(u32::from_le_bytes(self.take(4)?.try_into().ok()?))
+        Some(u32::from_le_bytes(self.0.split_off(..4)?.try_into().ok()?))
     }
 
     fn u64(&mut self) -> Option<u64> {
-        Some(u64::from_le_bytes(self.take(8)?.try_into().ok()?))
+        Some(u64::from_le_bytes(self.0.split_off(..8)?.try_into().ok()?))
     }
 
     /// Bytes preceded by their length.
     fn bytes(&mut self) -> Option<&'a [u8]> {
         let length = self.u32()? as usize;
-        self.take(length)
+        self.0.split_off(..length)
     }
 
     fn text(&mut self) -> Option<&'a str> {
@@ -121,7 +115,7 @@ impl<'a> Chunk<'a> {
     pub fn parse(record: &'a [u8]) -> Option<Self> {
         let mut f = Fields(record);
         // Earliest and latest time.
-        f.take(2 * 8)?;
+        f.0.split_off(..2 * 8)?;
         let expanded_length = f.u64()?;
         let (checksum, compression, length) = (f.u32()?, f.text()?, f.u64()?);
         let length = usize::try_from(length).unwrap_or(usize::MAX);
@@ -144,7 +138,7 @@ impl Statistics {
         let mut f = Fields(record);
         let messages = f.u64()?;
         // Schemas, channels, attachments, metadata, chunks.
-        f.take(2 + 4 * 4)?;
+        f.0.split_off(..2 + 4 * 4)?;
         let (start, end) = (f.u64()?, f.u64()?);
         let mut entries = Fields(f.bytes()?);
         let mut counts = HashMap::new();

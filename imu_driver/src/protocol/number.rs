@@ -74,9 +74,7 @@ impl<'a> Reader<'a> {
     /// The next `n` bytes.
     #[inline]
     pub fn take(&mut self, n: usize) -> Option<&'a [u8]> {
-        let (head, tail) = self.0.split_at_checked(n)?;
-        self.0 = tail;
-        Some(head)
+        self.0.split_off(..n)
     }
 
     #[inline]

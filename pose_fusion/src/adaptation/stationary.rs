@@ -57,7 +57,7 @@ impl Stationary {
             return None;
         }
         let [a, b] = self.halves;
-        self.clear();
+        *self = Self::default();
         let n = a.count + b.count;
         if n < FEWEST || a.count == 0.0 || b.count == 0.0 {
             return None;
@@ -71,11 +71,6 @@ impl Stationary {
         };
         quiet(0, variances.force)?;
         Some(quiet(1, variances.rate)? + origin.angular_velocity)
-    }
-
-    /// Discards the window.
-    pub fn clear(&mut self) {
-        *self = Self::default();
     }
 }
 

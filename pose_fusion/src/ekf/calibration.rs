@@ -206,9 +206,7 @@ impl Calibration {
             }
             step += gain.map(f64::from) * (residual / spread);
             let root = gain / (spread as f32).sqrt();
-            for (mut column, scale) in covariance.column_iter_mut().zip(&root) {
-                column.axpy(-scale, &root, 1.0);
-            }
+            covariance.ger(-1.0, &root, &root, 1.0);
         }
         let before = self.constants();
         for i in 0..CONSTANTS {

@@ -123,9 +123,7 @@ pub fn of_constants(sensitivity: &Sensitivity) -> SMatrix<f64, N, CONSTANTS> {
 /// `gain` is the Kalman gain `k` and `residual` the row `h V + e`.
 pub fn correct(sensitivity: &mut Sensitivity, gain: &Error, residual: &ByParameter) {
     let residual = residual.map(|x| x as f32);
-    for (mut column, k) in sensitivity.column_iter_mut().zip(gain) {
-        column.axpy(-(*k as f32), &residual, 1.0);
-    }
+    sensitivity.ger(-1.0, &residual, &gain.map(|k| k as f32), 1.0);
     // What the filter finds of a large error by itself counts once the alignment confirms it.
     sensitivity[(TIME_OFFSET_ERROR, TIME_OFFSET)] = 1.0;
 }

@@ -22,7 +22,7 @@ use crate::{
     },
     output::Warning,
     timeline::{
-        arrival::{AHEAD, JUMP},
+        arrival::{AHEAD, Arrival, JUMP},
         history::Event,
     },
 };
@@ -77,7 +77,7 @@ impl Filter {
         }
         self.archive_until(None);
         self.history.clear();
-        self.arrival.reset();
+        self.arrival = Arrival::default();
         self.imu.interrupt();
         self.trust.reset();
         self.monitor.clear();

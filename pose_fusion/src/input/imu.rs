@@ -154,7 +154,7 @@ impl ImuInput {
 
     /// Discards what a gap interrupts.
     pub fn interrupt(&mut self) {
-        self.stationary.clear();
+        self.stationary = Stationary::default();
         self.integrity.clear();
     }
 

@@ -220,11 +220,6 @@ impl Arrival {
     pub fn end(&self) -> Option<Stamp> {
         self.frontier
     }
-
-    /// Forgets everything, after a jump of time or an outage.
-    pub fn reset(&mut self) {
-        *self = Self::default();
-    }
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use anyhow::{Context, Result, bail, ensure};
 use node_kit::outln;
 use rig_calibration::{Estimate, MISFIT, Refinement};
 use ros_parameters::ParameterFile;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use volant::{
     calibration::refine_from_bag,
     parameter_update::{MARKER_SIGMA, MOUNTING_SIGMA, Setting, list, sigma},
