@@ -35,6 +35,7 @@ fn exceeds(name: &str, perturbation: &Perturbation) -> bool {
     use Perturbation::*;
     match perturbation {
         CameraMounting(_) | FocalLength(_) | Layout(_) => true,
+        EncoderScale(_) => matches!(name, "nominal" | "occlude_two" | "clutter"),
         AccelerometerScale(_) => name == "fast_swing",
         EncoderDelay(_) => matches!(name, "real_fast" | "real_tapping"),
         ImuStuck(_) => matches!(name, "nominal" | "real_tapping"),
