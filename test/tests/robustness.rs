@@ -106,10 +106,10 @@ fn two_perturbations_keep_the_pose_bounded() {
 }
 
 /// One marker 1 mm beside its place tilts the pose by 1°, which looks like a bias of the
-/// accelerometer. A filter that is told how well the markers were measured says so; with the
+/// accelerometer. The covariance contains it with the survey's `calibration.marker_sigma`; with the
 /// default, more than half of the poses of real_slow may be further off than 3 sigma.
 #[test]
-fn markers_measured_by_hand_are_covered_where_the_filter_is_told_how_well() {
+fn markers_measured_by_hand_are_covered_with_their_sigma() {
     for name in BAGS {
         let Some(recording) = recording(name) else { return };
         for marker in 0..4 {

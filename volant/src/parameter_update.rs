@@ -234,4 +234,27 @@ mod tests {
         assert_eq!(fs::read_to_string(&file).unwrap(), rig);
         assert_eq!(number(0.000_871_234, 3), ParameterValue::Double(0.000871));
     }
+
+    #[test]
+    fn a_sigma_is_replaced_where_the_file_has_one_and_a_better_one_is_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("rig.yaml");
+        let found = |text: &str, value: f64, kept: bool| {
+            fs::write(&file, text).unwrap();
+            let setting = sigma(&file, "/rig1/", MARKER_SIGMA, value, kept).unwrap();
+            setting.map(|s| (s.node, s.value.as_f64().unwrap()))
+        };
+        let with =
+            |node: &str| format!("{TEXT}{node}:\n  ros__parameters:\n    {MARKER_SIGMA}: 0.0005\n");
+        assert_eq!(found(TEXT, 5e-5, false), None);
+        for node in [FUSION, "/rig1/pose_fusion"] {
+            let of = |value| Some((node.to_owned(), value));
+            assert_eq!(found(&with(node), 5.04e-5, false), of(5e-5));
+            assert_eq!(found(&with(node), 5.04e-5, true), of(5e-5));
+            assert_eq!(found(&with(node), 2e-3, false), of(2e-3));
+            assert_eq!(found(&with(node), 2e-3, true), None, "the file's is better");
+            assert_eq!(found(&with(node), 5.2e-4, false), None, "nearly the same");
+        }
+        assert_eq!(found(&with("/rig2/pose_fusion"), 5e-5, false), None);
+    }
 }

@@ -1,11 +1,18 @@
 //! The platform's pose and its motion from image to image.
 
 use nalgebra::{Isometry3, Vector6};
-use rig_model::{Stamp, planar_pose::moved, score::PoseError};
+use rig_model::{Stamp, planar_pose::moved};
 
 /// Displacement of the platform over one image interval, along the camera's axes: of its origin, m,
 /// and rotation vector, rad.
 pub(super) type Motion = Vector6<f64>;
+
+/// The motion from one pose (`camera_from_volant`) to the next.
+fn motion_between(from: &Isometry3<f64>, to: &Isometry3<f64>) -> Motion {
+    let translation = to.translation.vector - from.translation.vector;
+    let rotation = (to.rotation * from.rotation.inverse()).scaled_axis();
+    Motion::from_iterator(translation.iter().chain(rotation.iter()).copied())
+}
 
 /// Pose of the platform in the last image and its last motion.
 #[derive(Clone, Debug, Default)]
@@ -30,7 +37,7 @@ impl PlatformMotion {
     /// determine where `is_determined`.
     pub fn update(&mut self, before: Option<Isometry3<f64>>, is_determined: bool) {
         let before = before.filter(|_| self.is_determined && is_determined);
-        self.last = before.zip(self.pose).map(|(from, to)| PoseError::new(&to, &from).stacked());
+        self.last = before.zip(self.pose).map(|(from, to)| motion_between(&from, &to));
         self.is_determined = is_determined;
     }
 }

@@ -21,6 +21,8 @@ const TEMPLATE: &str = include_str!("../../../../../launch_config/config/rig.yam
 
 /// Standard deviation of a center that a steel rule measures, mm.
 const MEASURED: f64 = 0.5;
+/// Standard deviations of a center that are possible, mm.
+const POSSIBLE: std::ops::RangeInclusive<f64> = 0.01..=20.0;
 /// Standard deviation of a mounting whose orientation is a multiple of 90°, rad: 1°.
 const UNALIGNED: f64 = 0.0175;
 /// Sides of the squares, mm: those that the rig file accepts.
@@ -115,11 +117,15 @@ fn precision(walk: &Walk, rig: &Rig, centers: &[Vector3<f64>; 4]) -> Result<Vec<
     let squares = centers.iter().map(|c| (c - mean).xy().norm_squared());
     let arms = squares.sum::<f64>().sqrt().max(1.0);
     let before = of_fusion(walk, LAYOUT_SIGMA)?.map(|size| (size * arms * 100.0).round() / 100.0);
+    let before = before.filter(|known| POSSIBLE.contains(known));
     let question = "  standard deviation of a center's x or y, mm: calipers 0.2, a steel rule 0.5, a \
                     tape 1";
     let [known] = dialog::numbers(question, [before.unwrap_or(MEASURED)], |[known]| {
-        let possible = (0.01..=20.0).contains(known);
-        if possible { Ok(()) } else { Err(format!("{known} mm is not possible: 0.01 to 20")) }
+        if POSSIBLE.contains(known) {
+            Ok(())
+        } else {
+            Err(format!("{known} mm is not possible: 0.01 to 20"))
+        }
     })?;
     let same =
         rig.markers.centers.0.iter().zip(centers).all(|(a, b)| (a.coords * 1e3 - b).norm() < 1e-6);
