@@ -240,6 +240,14 @@ fn lengths_in_meters_are_rejected_at_the_prompts_for_millimeters() {
     ] {
         assert!(printed.contains(needle), "{needle} in\n{printed}");
     }
+    // Repeated with Enter throughout, what a calibration found meanwhile stays.
+    let surveyed = place.text("rig.yaml");
+    assert!(surveyed.contains("0.0005") && surveyed.contains("0.0175"), "{surveyed}");
+    let calibrated = surveyed.replace("0.0005", "0.00005").replace("0.0175", "0.002");
+    place.write("rig.yaml", &calibrated);
+    let (_, printed) = bringup(&place, "markers --rig rig.yaml", &"\n".repeat(20));
+    assert!(printed.contains("markers     PASS"), "{printed}");
+    assert_eq!(place.text("rig.yaml"), calibrated);
     let rig = Rig::from_yaml(&place.text("rig.yaml")).unwrap();
     assert_eq!((rig.markers.side, rig.markers.centers[MarkerColor::Red].x), (0.08, 0.15));
 }
