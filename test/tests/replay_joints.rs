@@ -137,11 +137,13 @@ fn a_check_names_a_reversed_joint_of_the_parameter_file() {
     let place = Place::new(14.0);
     let path = |name: &str| place.path(name);
     let right = PARAMETERS.replace("HEIGHT", &format!("{:?}", config().height));
+    let measured = "/pose_fusion: {ros__parameters: {calibration.marker_sigma: 0.0005}}\n";
     for (text, status, said) in [
-        (right.clone(), 0, "nothing is wrong"),
+        (right.clone(), 0, "assumes markers within 0.04 mm of their places"),
+        (format!("{right}{measured}"), 0, "nothing is wrong"),
         (right.replace("rail_y: -0.5", "rail_y: 0.5"), 1, "`rail_y` is reversed"),
     ] {
-        fs::write(path("climber.yaml"), text).unwrap();
+        fs::write(path("climber.yaml"), &text).unwrap();
         let output = Command::new(executables().join("volant"))
             .arg("check")
             .arg(path("joints.mcap"))
@@ -152,6 +154,7 @@ fn a_check_names_a_reversed_joint_of_the_parameter_file() {
         let printed = String::from_utf8_lossy(&output.stdout);
         assert_eq!(output.status.code(), Some(status), "{printed}{output:?}");
         assert!(printed.contains(said), "{printed}");
+        assert_ne!(text.contains("marker_sigma"), printed.contains("marker_sigma"), "{printed}");
     }
 }
 

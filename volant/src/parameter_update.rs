@@ -22,6 +22,10 @@ pub const MARKER_SIGMA: &str = "calibration.marker_sigma";
 pub const LAYOUT_SIGMA: &str = "calibration.layout_sigma";
 /// How well the orientation of the camera is known, each axis, rad (1 sigma).
 pub const MOUNTING_SIGMA: &str = "calibration.mounting_sigma";
+/// How well the focal length is known, relative (1 sigma).
+pub const FOCAL_LENGTH_SIGMA: &str = "calibration.focal_length_sigma";
+/// How well the scale of the rails' encoders is known, relative (1 sigma).
+pub const ENCODER_SCALE_SIGMA: &str = "calibration.encoder_scale_sigma";
 
 /// Share by which a standard deviation may differ from one that is the same.
 const NEARLY: f64 = 0.1;
@@ -59,17 +63,25 @@ pub fn sigma(
     value: f64,
     kept: bool,
 ) -> Result<Option<Setting>> {
-    let shown = || format!("{}: not readable", rig.display());
-    let file = ParameterFile::parse(&files::read_text(rig).with_context(shown)?)?;
-    let own = format!("/{}/pose_fusion", namespace.trim_matches('/')).replace("//", "/");
-    let of = |node: &str| file.for_node(node).get(name).and_then(ParameterValue::as_f64);
-    let found = [FUSION, &own].into_iter().find_map(|node| Some((node, of(node)?)));
+    let found = of_fusion(rig, namespace, name)?;
     let Some((node, old)) = found.filter(|(_, old)| !(kept && *old < value)) else {
         return Ok(None);
     };
     let changes = (value / old - 1.0).abs() > NEARLY;
-    let (node, name) = (node.to_owned(), name.to_owned());
-    Ok(changes.then(|| Setting { node, name, value: number(value, 2) }))
+    Ok(changes.then(|| Setting { node, name: name.to_owned(), value: number(value, 2) }))
+}
+
+/// Returns a number of the fusion node in a rig file, where it has one, and the name by which the
+/// file gives it: the node in any namespace, or in this one.
+///
+/// # Errors
+/// A file that is not readable.
+pub fn of_fusion(rig: &Path, namespace: &str, name: &str) -> Result<Option<(String, f64)>> {
+    let shown = || format!("{}: not readable", rig.display());
+    let file = ParameterFile::parse(&files::read_text(rig).with_context(shown)?)?;
+    let own = format!("/{}/pose_fusion", namespace.trim_matches('/')).replace("//", "/");
+    let of = |node: &str| file.for_node(node).get(name).and_then(ParameterValue::as_f64);
+    Ok([FUSION, &own].into_iter().find_map(|node| Some((node.to_owned(), of(node)?))))
 }
 
 /// Result of an update.

@@ -94,8 +94,10 @@ fn an_empty_rig_file_becomes_as_good_as_the_true_one() {
     let layout = sigma("calibration.layout_sigma").unwrap();
     assert!((layout / expected - 1.0).abs() < 0.1, "{layout} {expected}");
 
-    // It goes on with the camera. The lens is calibrated.
-    let mut answers = String::from("\nswing.mcap\n\n\nswing.mcap\n");
+    assert_eq!(sigma("calibration.encoder_scale_sigma"), Some(layout));
+
+    // It goes on with the camera. The lens is calibrated, to 2 px.
+    let mut answers = String::from("\nswing.mcap\n\n\nswing.mcap\n100\n2\n");
     let t = resting().translation;
     writeln!(answers, "\n{} {} {}\njog.mcap", t.x, t.y, t.z).unwrap();
     // Mounting, offsets, acceptance.
@@ -112,6 +114,12 @@ fn an_empty_rig_file_becomes_as_good_as_the_true_one() {
     let places = sigma("calibration.marker_sigma").unwrap();
     assert!((3e-5..8e-5).contains(&places), "{places}");
     assert_eq!(sigma("calibration.layout_sigma"), Some(layout));
+    // The jog knows the scales against the layout's size.
+    let scale = sigma("calibration.encoder_scale_sigma").unwrap();
+    assert!((1.0..2.0).contains(&(scale / layout)), "{scale} {layout}");
+    let lens = sigma("calibration.focal_length_sigma").unwrap();
+    assert!((lens * simulated.camera.focal_lengths().x / 2.0 - 1.0).abs() < 1e-2, "{lens}");
+    assert!(printed.contains("100 px is not possible"), "{printed}");
     let tilt = sigma("calibration.mounting_sigma").unwrap();
     assert!((1e-5..3e-3).contains(&tilt), "{tilt}");
     let found = Rig::from_yaml(&place.text("rig.yaml")).unwrap();
@@ -250,6 +258,21 @@ fn lengths_in_meters_are_rejected_at_the_prompts_for_millimeters() {
     assert_eq!(place.text("rig.yaml"), calibrated);
     let rig = Rig::from_yaml(&place.text("rig.yaml")).unwrap();
     assert_eq!((rig.markers.side, rig.markers.centers[MarkerColor::Red].x), (0.08, 0.15));
+}
+
+#[test]
+fn a_value_that_a_block_of_a_namespace_overrides_fails_the_step() {
+    let place = Place::with_rig(&format!(
+        "{RIG_YAML}/rig1/pose_fusion:\n  ros__parameters:\n    calibration.marker_sigma: 0.001\n"
+    ));
+    let (status, printed) =
+        bringup(&place, "markers --rig rig.yaml", &format!("\n{}", "\n".repeat(20)));
+    assert_eq!(status, Some(1), "{printed}");
+    let needle = "has another `calibration.marker_sigma` for /rig1/pose_fusion";
+    assert!(printed.contains(needle), "{printed}");
+    // Nothing is said of values that do not change.
+    let (status, printed) = bringup(&place, "markers --rig rig.yaml", &"\n".repeat(20));
+    assert_eq!(status, Some(0), "{printed}");
 }
 
 #[test]

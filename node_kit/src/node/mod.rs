@@ -47,6 +47,7 @@ pub use middleware::{Loss, MiddlewareWatch};
 pub use participant::join;
 pub use process::Process;
 pub use publisher::Publisher;
+pub use reactor::{Reactor, Task};
 pub use run::run_node;
 pub use service::Responder;
 pub use shell::NodeShell;

@@ -2,16 +2,22 @@
 //! the middleware.
 
 use super::error::NodeError;
-use async_executor::{Executor, Task};
+use async_executor::Executor;
+pub use async_executor::Task;
 use std::{future::Future, sync::Arc, thread::JoinHandle};
 
-pub(crate) struct Reactor {
+/// A thread that runs the tasks which read subscriptions and services; dropping it ends them.
+pub struct Reactor {
     executor: Arc<Executor<'static>>,
     stop: async_channel::Sender<()>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Reactor {
+    /// Starts the thread, with the name of its node.
+    ///
+    /// # Errors
+    /// The system starts no thread.
     pub fn start(node: &str) -> Result<Self, NodeError> {
         let executor = Arc::new(Executor::new());
         let (stop, stopped) = async_channel::bounded::<()>(1);

@@ -3,25 +3,22 @@
 
 use super::{
     raw::{Raw, RawAdapter, ros_type_name},
-    system_nanos, thread_ended,
+    system_nanos,
 };
 use anyhow::{Result, anyhow};
-use async_executor::{Executor, Task};
 use bag::{Qos, Topic, qos_to_yaml};
-use futures_lite::{StreamExt, future::block_on};
+use futures_lite::StreamExt;
 use node_kit::{
     environment::Network,
     node::{
-        AnnouncedReader, BareNode, Loss, MiddlewareWatch, ros_topic, unlimited_policies,
-        with_type_hash,
+        AnnouncedReader, BareNode, Loss, MiddlewareWatch, Reactor, Task, ros_topic,
+        unlimited_policies, with_type_hash,
     },
 };
 use rustdds::{GUID, RTPSEntity, Subscriber, no_key::DataReader};
 use std::{
     collections::{BTreeMap, HashMap},
     pin::pin,
-    sync::Arc,
-    thread::JoinHandle,
 };
 use volant_msgs::MessageInfo;
 
@@ -54,12 +51,11 @@ pub struct Sample {
 
 /// Node that subscribes to topics as bytes; dropping it ends its subscriptions.
 pub struct Tap {
+    /// Dropped first: its tasks hold the readers.
+    reactor: Reactor,
     node: BareNode,
     middleware: MiddlewareWatch,
     subscriber: Option<Subscriber>,
-    executor: Arc<Executor<'static>>,
-    end: async_channel::Sender<()>,
-    thread: Option<JoinHandle<()>>,
 }
 
 /// A subscription; dropping it ends it.
@@ -75,19 +71,7 @@ impl Tap {
     /// As [`BareNode::join`], or an invalid variable of the environment.
     pub fn join(name: &str) -> Result<Self> {
         let (node, middleware) = BareNode::join(&Network::from_environment()?, name)?;
-        let executor = Arc::new(Executor::new());
-        let (end, ended) = async_channel::bounded::<()>(1);
-        let thread = std::thread::Builder::new()
-            .name("tap".into())
-            .spawn({
-                let executor = Arc::clone(&executor);
-                move || {
-                    // An error means that the sender is gone: the tap has ended.
-                    let _ = block_on(executor.run(ended.recv()));
-                }
-            })
-            .map_err(|_| thread_ended("the thread that receives samples"))?;
-        Ok(Self { node, middleware, subscriber: None, executor, end, thread: Some(thread) })
+        Ok(Self { reactor: Reactor::start("tap")?, node, middleware, subscriber: None })
     }
 
     /// Why the middleware has failed, if it has: the caller drops the subscriptions and joins
@@ -176,7 +160,7 @@ impl Tap {
             .create_datareader_no_key(&dds_topic, Some(qos))
             .map_err(|e| failed(e.to_string()))?;
         let announced = self.node.announce_reader(reader.guid());
-        let task = self.executor.spawn(async move {
+        let task = self.reactor.spawn(async move {
             let mut numbers = HashMap::<GUID, i64>::new();
             let mut samples = pin!(reader.async_sample_stream());
             while let Some(sample) = samples.next().await {
@@ -197,16 +181,6 @@ impl Tap {
             }
         });
         Ok(Subscription(task, announced))
-    }
-}
-
-impl Drop for Tap {
-    fn drop(&mut self) {
-        self.end.close();
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
-        // The executor drops the remaining tasks with their readers before the participant.
     }
 }
 

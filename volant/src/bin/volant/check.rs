@@ -6,6 +6,7 @@ use crate::{
 };
 use anyhow::Context;
 use node_kit::{files, outln};
+use pose_fusion::FusionConfig;
 use rig_calibration::{Report, Verdict};
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -49,6 +50,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<bool> {
         terminal::line(&format!("wrote {}", path.display()));
     }
     print(&report)?;
+    let assumed = cores.fusion.tight.calibration.marker;
+    if assumed == FusionConfig::default().tight.calibration.marker {
+        outln!(
+            "The covariance of pose_fusion assumes markers within {} mm of their places \
+             (calibration.marker_sigma, its default): give how well they were measured.",
+            1e3 * assumed
+        )?;
+    }
     Ok(!report.is_wrong())
 }
 

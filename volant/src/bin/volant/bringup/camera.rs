@@ -1,18 +1,25 @@
 //! Steps of the camera: images, exposure and colors; the lens.
 
-use super::{Walk, dialog, inputs::CAMERA};
+use super::{Walk, dialog, inputs::CAMERA, setup};
 use crate::calibrate::{self, Output};
 use anyhow::{Context, Result};
 use bag::BagReader;
 use node_kit::{convert, outln};
+use pose_fusion::FusionConfig;
 use rig_model::{CameraModel, Stamp, median, topics};
 use std::{path::Path, process::Command};
-use volant::replay::{Fed, Feed, ImageTopic};
+use volant::{
+    parameter_update::{FOCAL_LENGTH_SIGMA, number},
+    replay::{Fed, Feed, ImageTopic},
+};
 use volant_msgs::{
     Message, cdr,
     msg::MarkerObservations,
     sensor_msgs::msg::{CameraInfo, CompressedImage, Image},
 };
+
+/// Largest standard deviation of the focal length that a rig file accepts, relative.
+const LARGEST_SHARE: f64 = 0.1;
 
 /// Images of which exposure and color are measured.
 const IMAGES: usize = 40;
@@ -213,8 +220,30 @@ pub fn intrinsics(walk: &mut Walk) -> Result<()> {
                 walk.check(same, "size", format!("images of {}x{} px", size.0, size.1))?;
             }
             let view = 2.0 * (f64::from(width) / 2.0 / f.x).atan().to_degrees();
-            walk.check((10.0..170.0).contains(&view), "view", format!("{view:.0} deg wide"))
+            walk.check((10.0..170.0).contains(&view), "view", format!("{view:.0} deg wide"))?;
+            focal_length(walk, f.x)
         }
         None => walk.check(false, "camera_info", "none, or not calibrated (k is zero)"),
     }
+}
+
+/// Asks how well a focal length (px) is known.
+fn focal_length(walk: &mut Walk, f: f64) -> Result<()> {
+    let known = setup::of_fusion(walk, FOCAL_LENGTH_SIGMA)?;
+    let share = known.unwrap_or(FusionConfig::default().tight.calibration.focal_length);
+    let question = "  standard deviation of fx, px: `calibrate camera` prints it; 1 % of fx where it \
+                    is from a data sheet";
+    let [deviation] = dialog::numbers(question, [f * share], |[deviation]| {
+        let possible = f * LARGEST_SHARE;
+        if (0.0..=possible).contains(deviation) {
+            Ok(())
+        } else {
+            Err(format!("{deviation} px is not possible: 0 to {possible:.0}"))
+        }
+    })?;
+    let share = deviation / f;
+    if known.is_none_or(|known| (share - known).abs() > 1e-3 * known) {
+        setup::set(walk, &[setup::fusion(FOCAL_LENGTH_SIGMA, number(share, 3))])?;
+    }
+    Ok(())
 }

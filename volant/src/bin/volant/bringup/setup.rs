@@ -13,7 +13,8 @@ use rig_model::{MarkerColor, Rig, topics};
 use ros_parameters::{ParameterFile, ParameterValue};
 use std::{path::Path, process::Command};
 use volant::parameter_update::{
-    FUSION, LAYOUT_SIGMA, MARKER_SIGMA, MOUNTING_SIGMA, RIG, Setting, list, number, update,
+    self, ENCODER_SCALE_SIGMA, FUSION, LAYOUT_SIGMA, MARKER_SIGMA, MOUNTING_SIGMA, RIG, Setting,
+    list, number, update,
 };
 
 /// Rig file of a common rig.
@@ -111,7 +112,8 @@ pub fn markers(walk: &mut Walk) -> Result<()> {
 }
 
 /// Asks how well the centers are measured, and returns how well places and size of the layout are
-/// known. A calibration that knows the places better stays, unless they change.
+/// known, and the scale of the encoders, which a jog measures in lengths of the layout. A calibration
+/// that knows the places better stays, unless they change.
 fn precision(walk: &Walk, rig: &Rig, centers: &[Vector3<f64>; 4]) -> Result<Vec<Setting>> {
     let mean = centers.iter().sum::<Vector3<f64>>() / 4.0;
     let squares = centers.iter().map(|c| (c - mean).xy().norm_squared());
@@ -132,19 +134,19 @@ fn precision(walk: &Walk, rig: &Rig, centers: &[Vector3<f64>; 4]) -> Result<Vec<
     if same && before == Some(known) {
         return Ok(vec![]);
     }
-    let size = (known / arms).min(0.1);
-    Ok(vec![fusion(MARKER_SIGMA, number(known / 1e3, 6)), fusion(LAYOUT_SIGMA, number(size, 3))])
+    let size = number((known / arms).min(0.1), 3);
+    let places = fusion(MARKER_SIGMA, number(known / 1e3, 6));
+    Ok(vec![places, fusion(LAYOUT_SIGMA, size.clone()), fusion(ENCODER_SCALE_SIGMA, size)])
 }
 
 /// Setting of the fusion node.
-fn fusion(name: &str, value: ParameterValue) -> Setting {
+pub fn fusion(name: &str, value: ParameterValue) -> Setting {
     Setting { node: FUSION.to_owned(), name: name.to_owned(), value }
 }
 
 /// Returns a number of the fusion node in the rig file.
-fn of_fusion(walk: &Walk, name: &str) -> Result<Option<f64>> {
-    let parameters = ParameterFile::parse(&read(&walk.rig)?)?.for_node(FUSION);
-    Ok(parameters.get(name).and_then(ParameterValue::as_f64))
+pub fn of_fusion(walk: &Walk, name: &str) -> Result<Option<f64>> {
+    Ok(parameter_update::of_fusion(&walk.rig, "", name)?.map(|(_, number)| number))
 }
 
 /// Rejects a position that is in meters, or beyond the rig file's limit of 100 m.

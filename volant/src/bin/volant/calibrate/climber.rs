@@ -6,6 +6,7 @@ use anyhow::{Context, Result, bail, ensure};
 use bag::recording::read_messages;
 use nalgebra::{UnitQuaternion, Vector3};
 use node_kit::{convert, outln};
+use pose_fusion::FusionConfig;
 use rig_calibration::climber::{AXES, ClimberCalibration, Jog, Value, calibrate_climber};
 use rig_model::{Rig, topics};
 use ros_parameters::{ParameterFile, ParameterMap, ParameterValue};
@@ -13,7 +14,9 @@ use std::path::{Path, PathBuf};
 use volant::{
     calibration::read_markers,
     command_line::UsageError,
-    parameter_update::{MOUNTING_SIGMA, Setting, list, number, sigma},
+    parameter_update::{
+        ENCODER_SCALE_SIGMA, LAYOUT_SIGMA, MOUNTING_SIGMA, Setting, list, number, of_fusion, sigma,
+    },
     replay::{Cores, TopicNames, summarize},
 };
 use volant_msgs::{Message, sensor_msgs::msg::JointState};
@@ -40,7 +43,8 @@ pub struct Arguments {
         value_parser = volant::command_line::number(0.1..=1e6)
     )]
     pub duration: f64,
-    /// Rig file: marker layout and camera mounting
+    /// Rig file: marker layout and camera mounting. Its calibration.encoder_scale_sigma of
+    /// pose_fusion is updated, where it has one
     #[arg(long, value_name = "FILE")]
     pub rig: PathBuf,
     /// Parameter file of climber_driver to update [default: the rig file]
@@ -96,21 +100,40 @@ pub fn run(arguments: &Arguments) -> Result<ClimberCalibration> {
         None => live(arguments, &rig, &present)?,
     };
     print(&found, &present)?;
-    let mut camera = if arguments.camera { camera_settings(&found, &rig) } else { vec![] };
-    let turn = found.axes[2].as_ref().and_then(|turn| turn.zero);
-    // The zero of the turn contains the camera's yaw.
-    if let (true, Some([x, y]), Some(_)) = (arguments.camera, found.camera_tilt, turn) {
-        let (found, namespace) = (x.1.max(y.1).hypot(CENTER), &arguments.topics.namespace);
-        camera.extend(sigma(&arguments.rig, namespace, MOUNTING_SIGMA, found, false)?);
-    }
     let mut settings = settings(&found, &arguments.node);
-    if arguments.params_file.is_some() && !camera.is_empty() {
-        Output::default().update(&arguments.rig, &camera)?;
-    } else {
-        settings.extend(camera);
+    let of_rig = rig_settings(&found, arguments, &rig)?;
+    if arguments.params_file.is_none() {
+        settings.extend(of_rig);
+    } else if !of_rig.is_empty() && arguments.output.out.is_none() {
+        Output::default().update(&arguments.rig, &of_rig)?;
     }
     arguments.output.update(file, &settings)?;
     Ok(found)
+}
+
+/// What the jog says about the rig and about the sigmas of the fusion node.
+fn rig_settings(
+    found: &ClimberCalibration,
+    arguments: &Arguments,
+    rig: &Rig,
+) -> Result<Vec<Setting>> {
+    let (file, namespace) = (&arguments.rig, &arguments.topics.namespace);
+    let mut settings = if arguments.camera { camera_settings(found, rig) } else { vec![] };
+    let turn = found.axes[2].as_ref().and_then(|turn| turn.zero);
+    // The zero of the turn contains the camera's yaw.
+    if let (true, Some([x, y]), Some(_)) = (arguments.camera, found.camera_tilt, turn) {
+        let tilt = x.1.max(y.1).hypot(CENTER);
+        settings.extend(sigma(file, namespace, MOUNTING_SIGMA, tilt, false)?);
+    }
+    if let [Some(x), Some(y), _] = &found.axes {
+        let jog = [x, y].map(|axis| (axis.scale.1 / axis.scale.0).abs()).into_iter();
+        // The jog measures in lengths of the layout.
+        let layout = of_fusion(file, namespace, LAYOUT_SIGMA)?.map(|(_, known)| known);
+        let layout = layout.unwrap_or(FusionConfig::default().tight.calibration.layout);
+        let scale = jog.fold(0.0, f64::max).hypot(layout);
+        settings.extend(sigma(file, namespace, ENCODER_SCALE_SIGMA, scale, false)?);
+    }
+    Ok(settings)
 }
 
 fn from_bag(
