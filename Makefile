@@ -20,6 +20,7 @@
 # make fuzz        hostile bytes into every parser: FUZZ="-s SECONDS -r RUNS TARGET…"
 # make audit       advisories and licenses of the dependencies
 # make security    tests with DDS security (the middleware rebuilt with it)
+# make kilted-test the tests against ROS 2 with its distribution Kilted
 # make calibrate   volant calibrate camera (needs all of OpenCV); make calibrate-test: its tests
 # make browser     a browser for the report's test
 
@@ -27,8 +28,8 @@ SHELL := /bin/bash
 .DEFAULT_GOAL := build
 .PHONY: setup build demo test long lint bench peers \
   loop loop-test reproduce faults broad robustness checks pages book man \
-  fuzz audit security calibrate calibrate-test browser clean-setup deb deb-test deb-arm64 \
-  arm64-test tarball tarball-test bridge
+  fuzz audit kilted-test security calibrate calibrate-test browser clean-setup deb deb-test \
+  deb-arm64 arm64-test tarball tarball-test bridge
 
 ARCH_LIB := $(shell gcc -print-multiarch 2>/dev/null || echo x86_64-linux-gnu)
 export OPENCV_LINK_PATHS := /usr/lib/$(ARCH_LIB)
@@ -241,6 +242,15 @@ fuzz: .setup/debian
 
 audit:
 	@launch_config/setup/audit
+
+# The tests with rclpy again, with that of Kilted.
+.setup/kilted.done: test/requirements-kilted.txt .setup/debian
+	@python3 -m venv .setup/kilted
+	@.setup/kilted/bin/python -m pip install --quiet --disable-pip-version-check -r $<
+	@touch $@
+
+kilted-test: .setup/kilted.done
+	VOLANT_PYTHON=$(CURDIR)/.setup/kilted/bin/python $(CARGO) test --release -p node_kit --test ros2
 
 # In a folder of its own: with the feature the middleware is another one.
 security: .setup/debian

@@ -220,7 +220,7 @@ impl NodeHandle {
     /// A key that is missing or invalid.
     pub fn rig(&self) -> Result<Rig, NodeError> {
         Rig::from_parameters(self.parameter_store().values()).map_err(|error| {
-            NodeError::shell(format!("{error}; is `--ros-args --params-file rig.yaml` given?"))
+            NodeError::shell(format!("{error} (rig file: `--ros-args --params-file rig.yaml`)"))
         })
     }
 
