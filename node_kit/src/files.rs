@@ -243,8 +243,10 @@ impl Pending {
     /// # Errors
     /// The path ends in no name; or [`discard_all`] was called.
     pub fn new(path: &Path, overwrite: bool) -> Result<Self, FileError> {
-        // A link stays, and the file that it names is replaced.
-        let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+        // A link stays, and the file that it names is replaced, or made.
+        let named = || fs::read_link(path).map(|to| path.with_file_name(to));
+        let target = fs::canonicalize(path).or_else(|_| named());
+        let target = target.unwrap_or_else(|_| path.to_owned());
         let name = target.file_name().ok_or_else(|| {
             FileError::io(path, io::Error::new(ErrorKind::InvalidInput, "it is no file name"))
         })?;

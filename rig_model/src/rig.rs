@@ -94,7 +94,8 @@ impl Rig {
         if let Some(key) = map.keys().find(|key| !is_known(key)) {
             let hint = did_you_mean(key, known.iter().map(|r| r.name.as_str()));
             return Err(RigError(format!(
-                "the key `{key}` is unknown{hint}; remove it or correct its spelling"
+                "the key `{key}` is unknown{hint}; remove it, correct its spelling, or move it to \
+                 the block of its node (`/**/pose_fusion`)"
             )));
         }
         Self::from_parameters(&map)

@@ -1,7 +1,7 @@
 //! Changes parameters in rig and parameter files: in place, with the former file kept as `.bak`, or
 //! to a new file. Every other key and comment stays.
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use node_kit::files;
 use rig_model::Rig;
 use ros_parameters::{ParameterFile, ParameterValue, edit};
@@ -26,6 +26,9 @@ pub const MOUNTING_SIGMA: &str = "calibration.mounting_sigma";
 pub const FOCAL_LENGTH_SIGMA: &str = "calibration.focal_length_sigma";
 /// How well the scale of the rails' encoders is known, relative (1 sigma).
 pub const ENCODER_SCALE_SIGMA: &str = "calibration.encoder_scale_sigma";
+
+/// The nodes that read a rig file.
+const NODES: [&str; 4] = ["marker_tracker", "imu_driver", "climber_driver", "pose_fusion"];
 
 /// Share by which a standard deviation may differ from one that is the same.
 const NEARLY: f64 = 0.1;
@@ -71,17 +74,41 @@ pub fn sigma(
     Ok(changes.then(|| Setting { node, name: name.to_owned(), value: number(value, 2) }))
 }
 
-/// Returns a number of the fusion node in a rig file, where it has one, and the name by which the
-/// file gives it: the node in any namespace, or in this one.
+/// Returns a number of a namespace's fusion node in a rig file, where it has one, and the node's name.
 ///
 /// # Errors
 /// A file that is not readable.
 pub fn of_fusion(rig: &Path, namespace: &str, name: &str) -> Result<Option<(String, f64)>> {
     let shown = || format!("{}: not readable", rig.display());
     let file = ParameterFile::parse(&files::read_text(rig).with_context(shown)?)?;
-    let own = format!("/{}/pose_fusion", namespace.trim_matches('/')).replace("//", "/");
-    let of = |node: &str| file.for_node(node).get(name).and_then(ParameterValue::as_f64);
-    Ok([FUSION, &own].into_iter().find_map(|node| Some((node.to_owned(), of(node)?))))
+    let node = full_name(namespace, "pose_fusion");
+    let number = file.for_node(&node).get(name).and_then(ParameterValue::as_f64);
+    Ok(number.map(|number| (node, number)))
+}
+
+/// Fully qualified name of a node.
+pub fn full_name(namespace: &str, node: &str) -> String {
+    format!("/{}/{node}", namespace.trim_matches('/')).replace("//", "/")
+}
+
+/// Returns a node for which the file has another value than that of a setting for all nodes, or for
+/// a node in any namespace: in a block of its own, which overrides. `namespace`: see [`update`].
+fn overriding(file: &ParameterFile, setting: &Setting, namespace: Option<&str>) -> Option<String> {
+    let (of, node) = setting.node.rsplit_once('/')?;
+    if !setting.node.starts_with(RIG) {
+        return None;
+    }
+    let known = file.selectors().filter_map(|selector| Some(selector.rsplit_once('/')?.0));
+    let namespaces = match namespace {
+        Some(namespace) => vec![namespace],
+        None => known.filter(|name| !name.contains('*')).chain([""]).collect(),
+    };
+    let nodes = NODES.iter().filter(|name| of.is_empty() || **name == node);
+    let mut names = nodes.flat_map(|node| namespaces.iter().map(|n| full_name(n, node)));
+    names.find(|name| {
+        let own = file.for_node(name);
+        own.get(&setting.name).is_some_and(|value| !equal(value, &setting.value))
+    })
 }
 
 /// Result of an update.
@@ -95,16 +122,18 @@ pub struct Update {
 
 /// Sets parameters in the text of `file`, or writes `out` instead, which may replace an existing
 /// file with `overwrite`. Values that are equal already keep their notation; where nothing changes,
-/// nothing is written in place.
+/// nothing is written in place. The nodes of `namespace` shall have the new values; `None`: of all
+/// namespaces that the file names.
 ///
 /// # Errors
-/// An unreadable file; a place that cannot be edited; a rig file that would become invalid; see
-/// [`files::check_output`] for `out`.
+/// An unreadable file; a place that cannot be edited; a rig file that would become invalid; a block
+/// of a node that overrides a new value for all; see [`files::check_output`] for `out`.
 pub fn update(
     file: &Path,
     out: Option<&Path>,
     overwrite: bool,
     settings: &[Setting],
+    namespace: Option<&str>,
 ) -> Result<Update> {
     let shown = || file.display().to_string();
     let text = files::read_text(file).with_context(|| format!("{}: not readable", shown()))?;
@@ -119,6 +148,17 @@ pub fn update(
         }
         edited = edit::set(&edited, node, name, value).with_context(shown)?;
         changed.push(name.clone());
+    }
+    let after = ParameterFile::parse(&edited).unwrap_or_default();
+    for setting in settings {
+        if let Some(node) = overriding(&after, setting, namespace) {
+            bail!(
+                "{}: has another `{}` for {node}, which overrides the new one: remove it there; \
+                 nothing is changed",
+                shown(),
+                setting.name
+            );
+        }
     }
     if Rig::from_yaml(&text).is_ok() {
         Rig::from_yaml(&edited).with_context(|| {
@@ -159,10 +199,12 @@ fn backup(file: &Path, former: &[u8]) -> std::io::Result<PathBuf> {
         let path = PathBuf::from(name);
         match File::create_new(&path) {
             Ok(mut copy) => {
-                copy.write_all(former)?;
-                copy.set_permissions(fs::metadata(file)?.permissions())?;
-                copy.sync_all()?;
-                return Ok(path);
+                let written = copy.write_all(former).and_then(|()| {
+                    copy.set_permissions(fs::metadata(file)?.permissions())?;
+                    copy.sync_all()
+                });
+                // No part of a copy stays, such as on a full disk.
+                return written.map(|()| path.clone()).inspect_err(|_| drop(fs::remove_file(path)));
             }
             Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
             Err(error) => return Err(error),
@@ -208,7 +250,7 @@ mod tests {
         let set = |value: f64| {
             let settings =
                 [Setting::rig("a", list(&[1.0, value])), Setting::rig("b", number(3.0, 4))];
-            update(&file, None, false, &settings).unwrap()
+            update(&file, None, false, &settings, None).unwrap()
         };
         let update = set(2.0);
         assert_eq!((update.backup, update.changed), (None, vec![]));
@@ -232,16 +274,16 @@ mod tests {
         let rig = include_str!("../../launch_config/config/rig.yaml");
         fs::write(&file, rig).unwrap();
         let size = [Setting::rig("markers.size", number(0.08, 4))];
-        let to_out = |overwrite| update(&file, Some(&out), overwrite, &size);
+        let to_out = |overwrite| update(&file, Some(&out), overwrite, &size, None);
         assert_eq!(to_out(false).unwrap().backup, None);
         let written = fs::read_to_string(&out).unwrap();
         assert_eq!(written, rig.replace("size: 0.076  ", "size: 0.08  "));
         let error = to_out(false).unwrap_err().to_string();
         assert!(error.contains("--overwrite"), "{error}");
         to_out(true).unwrap();
-        assert!(update(&file, Some(&file), true, &size).is_err(), "an input");
+        assert!(update(&file, Some(&file), true, &size, None).is_err(), "an input");
         let bad = [Setting::rig("markers.size", number(-1.0, 4))];
-        let error = format!("{:#}", update(&file, None, false, &bad).unwrap_err());
+        let error = format!("{:#}", update(&file, None, false, &bad, None).unwrap_err());
         assert!(error.contains("left as it is") && error.contains("markers.size"), "{error}");
         assert_eq!(fs::read_to_string(&file).unwrap(), rig);
         assert_eq!(number(0.000_871_234, 3), ParameterValue::Double(0.000871));
@@ -259,8 +301,8 @@ mod tests {
         let with =
             |node: &str| format!("{TEXT}{node}:\n  ros__parameters:\n    {MARKER_SIGMA}: 0.0005\n");
         assert_eq!(found(TEXT, 5e-5, false), None);
+        let of = |value| Some(("/rig1/pose_fusion".to_owned(), value));
         for node in [FUSION, "/rig1/pose_fusion"] {
-            let of = |value| Some((node.to_owned(), value));
             assert_eq!(found(&with(node), 5.04e-5, false), of(5e-5));
             assert_eq!(found(&with(node), 5.04e-5, true), of(5e-5));
             assert_eq!(found(&with(node), 2e-3, false), of(2e-3));
@@ -268,5 +310,49 @@ mod tests {
             assert_eq!(found(&with(node), 5.2e-4, false), None, "nearly the same");
         }
         assert_eq!(found(&with("/rig2/pose_fusion"), 5e-5, false), None);
+        assert_eq!(found(&with("/pose_fusion"), 5e-5, false), None, "rig1's node does not read it");
+    }
+
+    #[test]
+    fn the_value_that_the_nodes_read_changes_or_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("rig.yaml");
+        let of = |node: &str| format!("{node}: {{ros__parameters: {{a: 1.0}}}}\n");
+        let update = |blocks: &[&str], node: &str, namespace: Option<&str>| {
+            let text: String = blocks.iter().map(|block| of(block)).collect();
+            fs::write(&file, &text).unwrap();
+            let setting = Setting { node: node.into(), name: "a".into(), value: number(2.0, 1) };
+            let updated = update(&file, None, false, &[setting], namespace);
+            let after = fs::read_to_string(&file).unwrap();
+            match updated {
+                Ok(_) => Ok(ParameterFile::parse(&after).unwrap()),
+                Err(error) => {
+                    assert_eq!(after, text);
+                    Err(format!("{error:#}"))
+                }
+            }
+        };
+        let both = [FUSION, "/rig1/pose_fusion"];
+        for (blocks, node, namespace, named) in [
+            (&["/**", FUSION][..], RIG, Some(""), "/pose_fusion"),
+            (&["/**", "/imu_driver"], RIG, None, "/imu_driver"),
+            (&["/**", "/rig1/**"], RIG, Some("rig1"), "/rig1/marker_tracker"),
+            (&["/**", "/rig1/**"], RIG, None, "/rig1/marker_tracker"),
+            (&both, FUSION, None, "/rig1/pose_fusion"),
+            (&[FUSION, "/rig1/**"], FUSION, None, "/rig1/pose_fusion"),
+        ] {
+            let error = update(blocks, node, namespace).unwrap_err();
+            assert!(error.contains(&format!("another `a` for {named},")), "{error}");
+        }
+        for (blocks, node, namespace, read) in [
+            (&["/**", "/rig1/**"][..], RIG, Some(""), "/pose_fusion"),
+            (&["/**", "/rig2/pose_fusion"], RIG, Some("rig1"), "/rig1/pose_fusion"),
+            (&both, "/rig1/pose_fusion", Some("rig1"), "/rig1/pose_fusion"),
+            (&[FUSION, "/rig1/**"], "/rig1/pose_fusion", Some("rig1"), "/rig1/pose_fusion"),
+            (&[FUSION, "/pose_fusion"], "/rig1/pose_fusion", Some("rig1"), "/rig1/pose_fusion"),
+        ] {
+            let after = update(blocks, node, namespace).unwrap();
+            assert_eq!(after.for_node(read)["a"], number(2.0, 1), "{blocks:?}");
+        }
     }
 }

@@ -270,9 +270,21 @@ fn a_value_that_a_block_of_a_namespace_overrides_fails_the_step() {
     assert_eq!(status, Some(1), "{printed}");
     let needle = "has another `calibration.marker_sigma` for /rig1/pose_fusion";
     assert!(printed.contains(needle), "{printed}");
-    // Nothing is said of values that do not change.
+    // Repeated, it still does.
+    let (status, _) = bringup(&place, "markers --rig rig.yaml", &"\n".repeat(20));
+    assert_eq!(status, Some(1));
+    place
+        .write("rig.yaml", format!("# mine\n{}", place.text("rig.yaml").replace("/rig1/", "/**/")));
     let (status, printed) = bringup(&place, "markers --rig rig.yaml", &"\n".repeat(20));
     assert_eq!(status, Some(0), "{printed}");
+    // Enter keeps what the file has.
+    let parameters =
+        ParameterFile::parse(&place.text("rig.yaml")).unwrap().for_node("/pose_fusion");
+    assert_eq!(parameters["calibration.marker_sigma"], ParameterValue::Double(0.001));
+    let centers = Rig::from_yaml(RIG_YAML).unwrap().markers.centers.0;
+    let arms = centers.iter().map(|c| c.coords.xy().norm_squared()).sum::<f64>().sqrt();
+    let layout = parameters["calibration.layout_sigma"].as_f64().unwrap();
+    assert!((layout * arms / 1e-3 - 1.0).abs() < 0.1, "{layout}");
 }
 
 #[test]

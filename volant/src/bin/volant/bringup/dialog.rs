@@ -1,6 +1,6 @@
 //! Questions and answers in the terminal, or in a script on standard input.
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use node_kit::{out, outln};
 use std::{
     io::BufRead,
@@ -24,7 +24,8 @@ pub fn ask(question: &str, default: &str) -> Result<String> {
         out!("{question} [{default}]: ")?;
     }
     let mut line = String::new();
-    if std::io::stdin().lock().read_line(&mut line)? == 0 {
+    let read = std::io::stdin().lock().read_line(&mut line);
+    if read.with_context(|| format!("the answer to `{}`", question.trim()))? == 0 {
         outln!("")?;
         return Err(Paused.into());
     }
@@ -72,6 +73,7 @@ pub fn numbers<const N: usize>(
                 Ok(()) => return Ok(numbers),
                 Err(wrong) => outln!("  {wrong}")?,
             },
+            _ if N == 1 => outln!("  write a number, such as {shown}")?,
             _ => outln!("  write {N} numbers, such as {shown}")?,
         }
     }

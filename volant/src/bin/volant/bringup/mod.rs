@@ -286,15 +286,6 @@ fn take(step: Step, walk: &mut Walk, state_file: &Path) -> Result<()> {
                 }
                 Err(error) => walk.item(Verdict::Fail, &name, format!("{error:#}"))?,
             }
-            let text = fs::read_to_string(&walk.rig).unwrap_or_default();
-            if let Some((node, name)) = overridden(&text, &walk.changed_since(&before)) {
-                let text = format!(
-                    "{}: has another `{name}` for {node}, which overrides the new one there: remove \
-                     it",
-                    walk.rig.display()
-                );
-                walk.item(Verdict::Fail, "namespace", text)?;
-            }
             let fails = walk.items.iter().any(|i| i.verdict == Verdict::Fail);
             if fails { Outcome::Failed } else { Outcome::Done }
         };
@@ -335,24 +326,6 @@ fn changed(before: &str, after: &str) -> Vec<String> {
         }
     }
     names
-}
-
-/// The node of a namespace for which the rig file has another value of one of `names`, which it has
-/// for all namespaces: that one holds there.
-fn overridden(rig: &str, names: &[String]) -> Option<(String, String)> {
-    let file = ParameterFile::parse(rig).ok()?;
-    for selector in file.selectors() {
-        let (namespace, last) = selector.rsplit_once('/').unwrap_or(("", selector));
-        let nodes = ["marker_tracker", "imu_driver", "climber_driver", "pose_fusion"];
-        for node in nodes.into_iter().filter(|node| last == *node || last.starts_with('*')) {
-            let of =
-                [format!("{namespace}/{node}"), format!("/**/{node}")].map(|n| file.for_node(&n));
-            if let Some(name) = names.iter().find(|name| of[0].get(*name) != of[1].get(*name)) {
-                return Some((format!("{namespace}/{node}"), name.clone()));
-            }
-        }
-    }
-    None
 }
 
 fn summary(state: &State) -> Result<()> {

@@ -138,6 +138,9 @@ pub fn mounting(walk: &mut Walk) -> Result<()> {
                 format!("changed by {:+.3} +- {:.3} {}", row.change, row.deviation, row.unit)
             }
             Refinement::Agrees => "agrees with this motion: as measured".to_owned(),
+            Refinement::Undetermined if jogged && row.name.starts_with("camera ") => {
+                "as the jog has found it".to_owned()
+            }
             Refinement::Undetermined => "unobservable in this motion: as measured".to_owned(),
         };
         walk.note(&row.name, text)?;
@@ -154,7 +157,7 @@ pub fn offsets(walk: &mut Walk) -> Result<()> {
         camera.0.abs() < 250.0,
         "camera",
         format!(
-            "image stamp {:+.2} +- {:.2} ms = IMU time (the filter finds up to 300)",
+            "image stamp {:+.2} +- {:.2} ms = IMU time (250 at most: the filter finds up to 300)",
             camera.0, camera.1
         ),
     )?;

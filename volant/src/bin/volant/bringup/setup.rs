@@ -41,18 +41,23 @@ pub fn read(path: &Path) -> Result<String> {
         return Ok(String::new());
     }
     let text = files::read_text(path).with_context(|| path.display().to_string())?;
-    if !text.trim().is_empty() {
+    if !is_blank(&text) {
         settings::check_given(path)?;
     }
     Ok(text)
+}
+
+/// Whether there are at most comments.
+fn is_blank(text: &str) -> bool {
+    text.lines().map(str::trim_start).all(|line| line.is_empty() || line.starts_with('#'))
 }
 
 /// Creates the rig file, or adds the keys that it lacks with the values of a common rig.
 pub fn complete(path: &Path) -> Result<()> {
     let shown = || path.display().to_string();
     let text = read(path)?;
-    if text.trim().is_empty() {
-        return Ok(files::write(path, template().as_bytes(), true)?);
+    if is_blank(&text) {
+        return Ok(files::write(path, (text + template()).as_bytes(), true)?);
     }
     let present = ParameterFile::parse(&text).with_context(shown)?.for_node(RIG);
     let missing: Vec<Setting> = ParameterFile::parse(template())?
@@ -61,12 +66,12 @@ pub fn complete(path: &Path) -> Result<()> {
         .filter(|(name, _)| !present.contains_key(name))
         .map(|(name, value)| Setting::rig(name, value))
         .collect();
-    update(path, None, false, &missing).map(drop)
+    update(path, None, false, &missing, None).map(drop)
 }
 
 /// Writes settings of the rig file.
 pub fn set(walk: &Walk, settings: &[Setting]) -> Result<()> {
-    update(&walk.rig, None, false, settings).map(drop)
+    update(&walk.rig, None, false, settings, None).map(drop)
 }
 
 /// The lengths that a tape measures, and the sheets.
@@ -76,25 +81,31 @@ pub fn markers(walk: &mut Walk) -> Result<()> {
          are yours to choose, z up. Lengths in mm."
     )?;
     let rig = read_rig(&walk.rig)?;
-    let [side] = dialog::numbers("  side", [1e3 * rig.markers.side], |[side]| {
+    let known = 1e3 * rig.markers.side;
+    let [side] = dialog::numbers("  side", [known], |[side]| {
         let remedy = "give it in millimeters, 5 to 500";
         if SIDES.contains(side) { Ok(()) } else { Err(format!("the side is {side} mm: {remedy}")) }
     })?;
-    set(walk, &[Setting::rig("markers.size", number(side / 1e3, 6))])?;
+    if side != known {
+        set(walk, &[Setting::rig("markers.size", number(side / 1e3, 6))])?;
+    }
     let out = walk.file("markers.pdf");
     let (rig_file, page) = (walk.rig.clone(), markers::Page::A4);
     let sheets = markers::Arguments { rig: rig_file, out, overwrite: true, page, camera: None };
     markers::run(&sheets)?;
     walk.wrote(&sheets.out);
     outln!("  Print at 100 %, measure the bar, mount the squares, and measure their centers.")?;
+    // Only what is answered is written: somebody may edit the file meanwhile.
     let mut settings = vec![];
     let mut centers = rig.markers.centers.0.map(|center| center.coords * 1e3);
     for color in MarkerColor::ALL {
         let center = &mut centers[color.index()];
         let question = format!("  {color} x y z");
         let answer: [f64; 3] = dialog::numbers(&question, (*center).into(), millimeters)?;
-        *center = answer.into();
-        settings.push(Setting::rig(format!("markers.{color}"), list(&answer.map(|c| c / 1e3))));
+        if answer != <[f64; 3]>::from(*center) {
+            *center = answer.into();
+            settings.push(Setting::rig(format!("markers.{color}"), list(&answer.map(|c| c / 1e3))));
+        }
     }
     settings.extend(precision(walk, &rig, &centers)?);
     outln!("  The camera in the climber's frame: x y z of the lens, mm; rotation as quaternion.")?;
@@ -112,14 +123,15 @@ pub fn markers(walk: &mut Walk) -> Result<()> {
 }
 
 /// Asks how well the centers are measured, and returns how well places and size of the layout are
-/// known, and the scale of the encoders, which a jog measures in lengths of the layout. A calibration
-/// that knows the places better stays, unless they change.
+/// known, and the scale of the encoders, which a jog measures in lengths of the layout. While the
+/// centers stay, a calibration that knows the places better does, too.
 fn precision(walk: &Walk, rig: &Rig, centers: &[Vector3<f64>; 4]) -> Result<Vec<Setting>> {
     let mean = centers.iter().sum::<Vector3<f64>>() / 4.0;
     let squares = centers.iter().map(|c| (c - mean).xy().norm_squared());
     let arms = squares.sum::<f64>().sqrt().max(1.0);
-    let before = of_fusion(walk, LAYOUT_SIGMA)?.map(|size| (size * arms * 100.0).round() / 100.0);
-    let before = before.filter(|known| POSSIBLE.contains(known));
+    let places = of_fusion(walk, MARKER_SIGMA)?;
+    let before = of_fusion(walk, LAYOUT_SIGMA)?.map(|size| size * arms);
+    let before = before.or(places.map(|known| 1e3 * known)).map(|x| (x * 100.0).round() / 100.0);
     let question = "  standard deviation of a center's x or y, mm: calipers 0.2, a steel rule 0.5, a \
                     tape 1";
     let [known] = dialog::numbers(question, [before.unwrap_or(MEASURED)], |[known]| {
@@ -131,12 +143,17 @@ fn precision(walk: &Walk, rig: &Rig, centers: &[Vector3<f64>; 4]) -> Result<Vec<
     })?;
     let same =
         rig.markers.centers.0.iter().zip(centers).all(|(a, b)| (a.coords * 1e3 - b).norm() < 1e-6);
-    if same && before == Some(known) {
-        return Ok(vec![]);
+    let (own, size) = (known / 1e3, (known / arms).min(0.1));
+    let mut settings = vec![];
+    if !places.is_some_and(|places| same && (places < own || before == Some(known))) {
+        settings.push(fusion(MARKER_SIGMA, number(own, 6)));
     }
-    let size = number((known / arms).min(0.1), 3);
-    let places = fusion(MARKER_SIGMA, number(known / 1e3, 6));
-    Ok(vec![places, fusion(LAYOUT_SIGMA, size.clone()), fusion(ENCODER_SCALE_SIGMA, size)])
+    for name in [LAYOUT_SIGMA, ENCODER_SCALE_SIGMA] {
+        if !(same && before == Some(known) && of_fusion(walk, name)?.is_some()) {
+            settings.push(fusion(name, number(size, 3)));
+        }
+    }
+    Ok(settings)
 }
 
 /// Setting of the fusion node.
@@ -160,23 +177,28 @@ fn millimeters(position: &[f64; 3]) -> Result<(), String> {
 }
 
 /// Asks for a mounting: position (mm) and quaternion.
-fn mounting(name: &str, known: &nalgebra::Isometry3<f64>) -> Result<[Setting; 2]> {
-    let place = (known.translation.vector * 1e3).into();
+fn mounting(name: &str, known: &nalgebra::Isometry3<f64>) -> Result<Vec<Setting>> {
+    let mut settings = vec![];
+    let place: [f64; 3] = (known.translation.vector * 1e3).into();
     let position = dialog::numbers(&format!("  {name} x y z"), place, millimeters)?;
-    let q = known.rotation.coords;
+    if position != place {
+        let value = list(&position.map(|c| c / 1e3));
+        settings.push(Setting::rig(format!("{name}.position"), value));
+    }
+    let q: [f64; 4] = known.rotation.coords.into();
     let question = format!("  {name} quaternion x y z w");
-    let mut orientation = dialog::numbers(&question, [q.x, q.y, q.z, q.w], |q| {
+    let orientation = dialog::numbers(&question, q, |q| {
         let length = nalgebra::Vector4::from(*q).norm();
         let unit = (0.9..1.1).contains(&length);
         if unit { Ok(()) } else { Err(format!("its length is {length:.3}: a rotation has 1")) }
     })?;
-    let [x, y, z, w] = orientation;
-    let unit = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z));
-    orientation.copy_from_slice(unit.coords.as_slice());
-    Ok([
-        Setting::rig(format!("{name}.position"), list(&position.map(|c| c / 1e3))),
-        Setting::rig(format!("{name}.orientation"), list(&orientation)),
-    ])
+    if orientation != q {
+        let [x, y, z, w] = orientation;
+        let unit = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z));
+        let value = list(unit.coords.as_slice());
+        settings.push(Setting::rig(format!("{name}.orientation"), value));
+    }
+    Ok(settings)
 }
 
 /// The IMU: port, rate, units, noise.

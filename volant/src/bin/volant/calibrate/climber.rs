@@ -15,7 +15,8 @@ use volant::{
     calibration::read_markers,
     command_line::UsageError,
     parameter_update::{
-        ENCODER_SCALE_SIGMA, LAYOUT_SIGMA, MOUNTING_SIGMA, Setting, list, number, of_fusion, sigma,
+        ENCODER_SCALE_SIGMA, LAYOUT_SIGMA, MOUNTING_SIGMA, Setting, full_name, list, number,
+        of_fusion, sigma,
     },
     replay::{Cores, TopicNames, summarize},
 };
@@ -50,7 +51,8 @@ pub struct Arguments {
     /// Parameter file of climber_driver to update [default: the rig file]
     #[arg(long, value_name = "FILE")]
     pub params_file: Option<PathBuf>,
-    /// Node whose parameters are updated; `/**/` stands for any namespace
+    /// Node whose parameters are updated; `/**/` stands for any namespace, with --namespace for that
+    /// one
     #[arg(long, value_name = "NAME", default_value = NODE)]
     pub node: String,
     /// Where the platform's origin is in the world while it rests, m: gives the readings at the
@@ -93,21 +95,33 @@ pub fn run(arguments: &Arguments) -> Result<ClimberCalibration> {
     arguments.output.check(None, &inputs.map(PathBuf::as_path).collect::<Vec<_>>())?;
     let text =
         node_kit::files::read_text(file).with_context(|| format!("{shown}: not readable"))?;
+    let namespace = &arguments.topics.namespace;
+    let node = match (arguments.node.as_str(), namespace.trim_matches('/')) {
+        (NODE, name) if !name.is_empty() => full_name(name, "climber_driver"),
+        (node, _) => node.to_owned(),
+    };
     // The update rejects an invalid file; one of comments only is a valid start.
-    let present = ParameterFile::parse(&text).unwrap_or_default().for_node(&arguments.node);
+    let present = ParameterFile::parse(&text).unwrap_or_default().for_node(&node);
     let found = match &arguments.bag {
         Some(bag) => from_bag(bag, arguments, &arguments.topics.names(), &rig, &present)?,
         None => live(arguments, &rig, &present)?,
     };
     print(&found, &present)?;
-    let mut settings = settings(&found, &arguments.node);
+    let mut settings = settings(&found, &node);
     let of_rig = rig_settings(&found, arguments, &rig)?;
     if arguments.params_file.is_none() {
-        settings.extend(of_rig);
-    } else if !of_rig.is_empty() && arguments.output.out.is_none() {
-        Output::default().update(&arguments.rig, &of_rig)?;
+        settings.extend(of_rig.clone());
     }
-    arguments.output.update(file, &settings)?;
+    arguments.output.update(file, &settings, namespace)?;
+    if arguments.params_file.is_some() && !of_rig.is_empty() {
+        if arguments.output.out.is_none() {
+            Output::default().update(&arguments.rig, &of_rig, namespace)?;
+        } else {
+            let names: Vec<_> = of_rig.iter().map(|s| format!("{} {}", s.name, s.value)).collect();
+            let (names, rig) = (names.join(", "), arguments.rig.display());
+            outln!("{rig}: unchanged, because of --out; enter {names}")?;
+        }
+    }
     Ok(found)
 }
 

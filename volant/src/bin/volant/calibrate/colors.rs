@@ -68,7 +68,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut losses = vec![];
     let settings = terminal::with_losses(measure(arguments, &mut losses), &losses)?;
     match (&arguments.rig, &arguments.output.out) {
-        (Some(rig), _) => arguments.output.update(rig, &settings),
+        (Some(rig), _) => arguments.output.update(rig, &settings, ""),
         (None, out) => {
             let text = settings.iter().try_fold(String::new(), |text, s| {
                 ros_parameters::edit::set(&text, &s.node, &s.name, &s.value)

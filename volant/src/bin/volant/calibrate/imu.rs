@@ -52,7 +52,7 @@ pub fn run(arguments: &Arguments) -> Result<ImuNoise> {
     let settings = Sensor::ALL.map(|sensor| {
         Setting::rig(format!("imu.{sensor}_noise_density"), number(noise.density(sensor), 3))
     });
-    arguments.output.update(&arguments.rig, &settings)?;
+    arguments.output.update(&arguments.rig, &settings, "")?;
     Ok(noise)
 }
 

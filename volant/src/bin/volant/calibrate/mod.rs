@@ -63,9 +63,10 @@ impl Output {
         Ok(node_kit::files::check_outputs(&outputs, self.overwrite, inputs)?)
     }
 
-    /// Changes parameters of a file and reports what was written.
-    pub fn update(&self, file: &Path, settings: &[Setting]) -> anyhow::Result<()> {
-        let update = update(file, self.out.as_deref(), self.overwrite, settings)?;
+    /// Changes parameters of a file for the nodes of a namespace, and reports what was written.
+    pub fn update(&self, file: &Path, settings: &[Setting], namespace: &str) -> anyhow::Result<()> {
+        let (out, overwrite) = (self.out.as_deref(), self.overwrite);
+        let update = update(file, out, overwrite, settings, Some(namespace))?;
         let path = self.out.as_deref().unwrap_or(file).display();
         terminal::line(&match (update.backup, update.changed.as_slice()) {
             (_, []) => format!("{path}: has these values already"),

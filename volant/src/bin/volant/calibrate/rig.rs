@@ -60,7 +60,7 @@ pub fn run(arguments: &Arguments) -> Result<Estimate> {
     let mut changes = changes(&estimate);
     changes.extend(sigmas(&estimate, arguments)?);
     check_effect(&changes, arguments)?;
-    arguments.output.update(&arguments.rig, &changes)?;
+    arguments.output.update(&arguments.rig, &changes, &arguments.topics.namespace)?;
     Ok(estimate)
 }
 
