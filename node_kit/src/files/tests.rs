@@ -65,6 +65,11 @@ fn an_existing_file_is_replaced_only_on_request_and_keeps_its_mode_and_links() {
     assert_eq!(fs::metadata(&path).unwrap().mode() & 0o777, 0o640);
     assert_eq!(names(folder.path()), ["link", "out"]);
     assert!(matches!(write(folder.path(), b"", true), Err(FileError::Folder { .. })));
+    // A link to a file that is not there yet.
+    fs::remove_file(&path).unwrap();
+    write(&link, b"again", true).unwrap();
+    assert!(link.is_symlink());
+    assert_eq!(fs::read_to_string(&path).unwrap(), "again");
 }
 
 #[test]
