@@ -7,7 +7,6 @@ use crate::{
         contradiction_monitor::SUSPECT,
         encoder_trust::{Cause, EncoderEvidence, Verdict},
     },
-    input::climber_track::faults::STOOD,
     measurements::{
         Innovation,
         encoders::{self, CONTRADICTION},
@@ -146,8 +145,7 @@ impl Filter {
     /// it may be stuck while the climber drives. Returns whether it does.
     pub(super) fn try_without_encoders(&mut self, at: Stamp) -> bool {
         let read = at.plus_seconds(-self.encoder_offset());
-        let stood = |since: &Stamp| read.seconds_since(*since) > STOOD;
-        let standing = self.climber.standing_since().map(|since| since.filter(stood));
+        let standing = self.climber.may_have_stuck(read);
         let Some(since) = standing.into_iter().flatten().max() else { return false };
         let suspected = self.suspect_stuck(standing, since, at);
         if suspected {

@@ -22,6 +22,8 @@ const NO_POSE: u32 = 1200;
 
 /// Mean innovation of a marker, px (0.06 px).
 const MEAN_INNOVATION: f64 = 0.15;
+/// Standard deviations by which it differs from zero.
+const CERTAIN: f64 = 5.0;
 /// Share of a marker's measurements that are rejected (0.006).
 const REJECTED: f64 = 0.05;
 /// Factor on the claimed pixel variance (1.0).
@@ -41,8 +43,9 @@ const TIME_OFFSET: f64 = 0.05;
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Marker {
     count: f64,
-    /// Mean innovation, px.
+    /// Mean innovation, px, and mean square, px².
     innovation: Vector2<f64>,
+    square: f64,
     /// Share of rejected measurements.
     rejected: f64,
 }
@@ -84,6 +87,7 @@ impl RigCheck {
             // A false marker far off says nothing about the layout; its share counts above.
             if !rejected && record.residual.norm().is_finite() {
                 marker.innovation += (record.residual - marker.innovation) * weight;
+                marker.square += (record.residual.norm_squared() - marker.square) * weight;
             }
         }
     }
@@ -116,12 +120,13 @@ impl RigCheck {
         }
         for (color, marker) in self.markers.iter().filter(|(_, m)| m.count >= MEMORY) {
             let (name, mean) = (color.name(), marker.innovation.norm());
+            let certain = CERTAIN * (marker.square / MEMORY).sqrt();
             if marker.rejected > REJECTED && least <= REJECTED {
                 let percent = 100.0 * marker.rejected;
                 found.push(format!(
                     "{percent:.0} % of {name} rejected (`markers.{name}`, `camera_info`)"
                 ));
-            } else if marker.rejected <= REJECTED && mean > MEAN_INNOVATION {
+            } else if marker.rejected <= REJECTED && mean > MEAN_INNOVATION.max(certain) {
                 found.push(format!(
                     "{name} has a mean innovation of {mean:.2} px (`markers.{name}`, \
                      `camera.orientation`, `camera_info`)"
@@ -193,6 +198,7 @@ mod tests {
     use super::*;
     use crate::measurements::Innovation;
     use rig_model::{MarkerColor, Stamp};
+    use rig_simulator::random::Random;
 
     #[test]
     fn a_configured_time_offset_is_no_finding() {
@@ -227,5 +233,25 @@ mod tests {
         assert_eq!(check.markers[MarkerColor::Red].rejected, 0.0);
         note(&mut check, Outcome::Gated, 20);
         assert!(check.markers[MarkerColor::Red].rejected > REJECTED);
+    }
+
+    #[test]
+    fn a_mean_innovation_is_large_against_its_noise() {
+        for (offset, noise, findings) in
+            [(0.0, 1.0, 0), (0.05, 0.1, 0), (0.3, 0.1, 4), (1.0, 1.0, 4)]
+        {
+            let (mut check, mut random) = (RigCheck::default(), Random::new(3));
+            check.note_camera();
+            for _ in 0..2000 {
+                let markers = PerColor([(); 4].map(|()| Innovation::<2> {
+                    residual: Vector2::from_fn(|_, _| offset + noise * random.normal()),
+                    ..Innovation::without_values(Outcome::Used)
+                }));
+                check.note(&MarkerUpdates { stamp: Stamp::default(), markers });
+                let found = check.findings(&Status::default()).len();
+                assert!(found <= findings, "{offset} {noise}");
+            }
+            assert_eq!(check.findings(&Status::default()).len(), findings, "{offset} {noise}");
+        }
     }
 }

@@ -26,8 +26,10 @@ const LIMITS: [(f64, f64); FILE_ERRORS] = [
     (0.1, 0.02),
     (0.01, 0.005),
 ];
-/// Standard deviations by which a reported error differs from zero.
+/// Standard deviations by which a reported error differs from zero; that of the size, which steps of
+/// a slow climber's encoders resemble, is up to 6.5 with correct files.
 const CERTAIN: f64 = 5.0;
+const CERTAIN_SIZE: f64 = 8.0;
 
 /// What one image shows.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -71,7 +73,8 @@ impl RigEvidence {
         let cholesky = Cholesky::new(self.information + SMatrix::from_diagonal(&expected))?;
         let (mut errors, covariance) = (cholesky.solve(&self.score), cholesky.inverse());
         for (k, (_, least)) in LIMITS.into_iter().enumerate() {
-            if errors[k].abs() < (CERTAIN * covariance[(k, k)].sqrt()).max(least) {
+            let certain = if k == SIZE { CERTAIN_SIZE } else { CERTAIN };
+            if errors[k].abs() < (certain * covariance[(k, k)].sqrt()).max(least) {
                 errors[k] = 0.0;
             }
         }

@@ -87,6 +87,8 @@ pub struct ClimberTrack {
     latency: f64,
     /// Per axis, the first of the readings that equal the newest one.
     standing_since: [Stamp; 3],
+    /// Per axis, whether the readings have ever differed.
+    has_moved: [bool; 3],
     /// Per axis, since when it may be stuck.
     stuck: [Option<Stamp>; 3],
 }
@@ -103,6 +105,7 @@ impl ClimberTrack {
             jerk_factor: SETTING_OFF,
             latency: 0.0,
             standing_since: [Stamp::default(); 3],
+            has_moved: [false; 3],
             stuck: [None; 3],
         }
     }
@@ -121,7 +124,9 @@ impl ClimberTrack {
         }
         let (variance, equal) = if place == self.readings.len() {
             for axis in 0..3 {
-                if self.readings.back().is_none_or(|(_, last, _)| last[axis] != values[axis]) {
+                let last = self.readings.back();
+                if last.is_none_or(|(_, last, _)| last[axis] != values[axis]) {
+                    self.has_moved[axis] |= last.is_some();
                     (self.standing_since[axis], self.stuck[axis]) = (stamp, None);
                 }
             }

@@ -23,6 +23,8 @@ const SHORTEST_STEP: f64 = 0.03;
 /// Advance of other messages, at least [`MESSAGES`], from which the IMU is lost, s.
 const SILENCE: f64 = 0.1;
 const MESSAGES: u32 = 4;
+/// Rate at which what other messages were ahead of the IMU samples at most is forgotten, s/s.
+const FADES: f64 = 0.05;
 /// After this long without IMU samples a pose is initialized from images alone, s.
 const ABSENCE: f64 = 0.5;
 
@@ -64,6 +66,9 @@ struct Since {
     jumped: Option<Stamp>,
     /// How far the last message was ahead of the newest IMU sample when it came, s.
     ahead: Option<f64>,
+    /// The most since the newest IMU sample, and the usual most before it, s.
+    most: Option<f64>,
+    usual: Option<f64>,
 }
 
 impl Since {
@@ -83,13 +88,35 @@ impl Since {
                 self.jumped = Some(stamp);
                 return Some(step);
             }
-            _ => (self.jumped, self.count) = (None, 1),
+            // Another clock.
+            _ => (self.jumped, self.count, self.usual) = (None, 1, None),
+        }
+        // Messages that were held up and come together are no time without IMU samples.
+        let is_usual = self.usual.zip(self.ahead).is_some_and(|(usual, ahead)| ahead <= usual);
+        if is_usual && !self.is_longer_than(SILENCE) {
+            self.count = 1;
         }
         self.newest = Some(stamp);
         if self.count == 1 {
             self.first = Some(stamp);
         }
         None
+    }
+
+    /// Notes an IMU sample, this many seconds after the one before.
+    fn note_imu(&mut self, step: f64) {
+        let is_silent = self.is_longer_than(SILENCE);
+        self.count = 0;
+        let most = self.most.take();
+        let before = self.usual.map(|usual| usual - FADES * step);
+        // Before the first ones, held up messages look like silence.
+        let short = |most: &f64| self.usual.is_none() && *most < SILENCE;
+        self.usual = match most.filter(|most| !is_silent || short(most)) {
+            // The clocks are others.
+            _ if !(0.0..=STRAY).contains(&step) => None,
+            Some(most) => Some(before.map_or(most, |before| before.max(most))),
+            None => before,
+        };
     }
 
     fn is_longer_than(&self, seconds: f64) -> bool {
@@ -165,10 +192,9 @@ impl Arrival {
 
     /// Notes the newest IMU sample.
     pub fn imu(&mut self, stamp: Stamp, reading: ImuReading) {
+        let step = self.newest_imu.map_or(0.0, |(before, _)| stamp.seconds_since(before));
         self.newest_imu = Some((stamp, reading));
-        for since in &mut self.others {
-            since.count = 0;
-        }
+        self.others.iter_mut().for_each(|since| since.note_imu(step));
         // Images whose clock jumped may have moved the end further than a stall holds up samples.
         let near = self.frontier.filter(|end| end.seconds_since(stamp) < HELD_UP);
         self.frontier = near.max(Some(stamp));
@@ -181,6 +207,7 @@ impl Arrival {
     pub fn other(&mut self, source: Source, stamp: Stamp) -> Option<f64> {
         let since = &mut self.others[source as usize];
         since.ahead = self.newest_imu.map(|(newest, _)| stamp.seconds_since(newest));
+        since.most = since.ahead.map(|ahead| since.most.map_or(ahead, |most| most.max(ahead)));
         let jump = since.note(stamp);
         jump.filter(|_| self.newest_imu.is_none() || self.is_imu_silent())
     }
@@ -294,5 +321,25 @@ mod tests {
         arrival.other(Source::Image, at(466));
         arrival.other(Source::Image, at(10_466));
         assert!(!arrival.is_imu_silent(), "one stamp that jumps says nothing");
+    }
+
+    #[test]
+    fn messages_that_were_held_up_are_no_silence_of_the_imu() {
+        let (mut arrival, mut silent) = (Arrival::default(), vec![]);
+        for ms in 0..3000 {
+            if ms % 10 == 0 && ms <= 2000 {
+                arrival.imu(at(ms), ImuReading::default());
+            }
+            // Seven encoder readings come together.
+            if ms % 140 == 5 {
+                for k in 0..7 {
+                    arrival.other(Source::Encoders, at(ms - 122 + 20 * k));
+                }
+            }
+            if ms > 100 && arrival.is_imu_silent() {
+                silent.push(ms);
+            }
+        }
+        assert_eq!((silent[0], silent.len()), (2105, 3000 - 2105));
     }
 }

@@ -10,7 +10,7 @@ const SHORTEST: f64 = 0.03;
 /// Largest acceleration of a drive (m/s², m/s², rad/s²).
 const BRAKES: [f64; 3] = [3.0, 3.0, 2.0];
 /// Readings that have been equal for this time may be stuck, s.
-pub const STOOD: f64 = 0.2;
+const STOOD: f64 = 0.2;
 /// Readings leap where they differ by more than this (m, m, rad) beside three sigma of the speed.
 const LEAP: f64 = 0.05;
 
@@ -38,6 +38,16 @@ impl ClimberTrack {
     /// Returns since when the readings of each axis have been equal.
     pub fn standing_since(&self) -> [Option<Stamp>; 3] {
         self.standing_since.map(|since| self.readings.back().map(|_| since))
+    }
+
+    /// Returns since when each axis has stood that may be stuck, encoder time: for [`STOOD`] before
+    /// `read`. While another axis moves, one that has never moved is taken for one that the climber
+    /// does not use.
+    pub fn may_have_stuck(&self, read: Stamp) -> [Option<Stamp>; 3] {
+        let since = self.standing_since();
+        let stands = since.map(|since| since.filter(|at| read.seconds_since(*at) > STOOD));
+        let moves = stands.contains(&None);
+        std::array::from_fn(|i| stands[i].filter(|_| self.has_moved[i] || !moves))
     }
 
     /// Returns since when each axis has stood that moved before, so fast that by now it would have
@@ -232,5 +242,16 @@ mod tests {
         assert_eq!(moves_on(0.5, 10.0), [false; 3], "out of reach");
         assert_eq!(moves_on(0.9, 0.05), [false; 3], "stood for a moment");
         assert_eq!(moves_on(1.0, 0.05), [false; 3], "a jump while it drove");
+    }
+
+    #[test]
+    fn an_axis_that_has_never_moved_is_not_stuck_while_another_moves() {
+        let may = |values: fn(f64) -> Vector3<f64>| {
+            track(50, values).may_have_stuck(START.plus_seconds(1.0)).map(|since| since.is_some())
+        };
+        assert_eq!(may(|t| Vector3::new(0.1 * t, 0.5, 0.0)), [false; 3]);
+        assert_eq!(may(|t| Vector3::new(0.1 * t, t.min(0.5), 0.0)), [false, true, false]);
+        assert_eq!(may(|t| Vector3::new(0.1 * t.min(0.5), 0.5, 0.0)), [true; 3]);
+        assert_eq!(may(|_| Vector3::zeros()), [true; 3]);
     }
 }
