@@ -33,6 +33,18 @@ fn lengths_in_meters_are_rejected_at_the_prompts_for_millimeters() {
     let (_, printed) = bringup(&place, "markers --rig rig.yaml", &"\n".repeat(20));
     assert!(printed.contains("markers     PASS"), "{printed}");
     assert_eq!(place.text("rig.yaml"), calibrated);
+    // Another answer replaces a former one, and no better calibration.
+    let again = |from: &str, answer: &str| {
+        place.write("rig.yaml", from);
+        let answers = format!("{}{answer}\n{}", "\n".repeat(6), "\n".repeat(8));
+        bringup(&place, "markers --rig rig.yaml", &answers);
+        let parameters = ParameterFile::parse(&place.text("rig.yaml")).unwrap();
+        parameters.for_node("/pose_fusion")["calibration.marker_sigma"].as_f64().unwrap()
+    };
+    assert_eq!(again(&surveyed, "1"), 1e-3);
+    assert_eq!(again(&surveyed, "0.2"), 2e-4);
+    assert_eq!(again(&calibrated, "1"), 5e-5);
+    place.write("rig.yaml", &calibrated);
     let rig = Rig::from_yaml(&place.text("rig.yaml")).unwrap();
     assert_eq!((rig.markers.side, rig.markers.centers[MarkerColor::Red].x), (0.08, 0.15));
 }

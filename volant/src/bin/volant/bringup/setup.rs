@@ -145,7 +145,10 @@ fn precision(walk: &Walk, rig: &Rig, centers: &[Vector3<f64>; 4]) -> Result<Vec<
         rig.markers.centers.0.iter().zip(centers).all(|(a, b)| (a.coords * 1e3 - b).norm() < 1e-6);
     let (own, size) = (known / 1e3, (known / arms).min(0.1));
     let mut settings = vec![];
-    if !places.is_some_and(|places| same && (places < own || before == Some(known))) {
+    // Without a calibration it is what was answered before.
+    let is_calibrated = |places: f64| before.is_some_and(|b| (1e3 * places - b).abs() > 0.1 * b);
+    let better = |places: f64| before == Some(known) || places < own && is_calibrated(places);
+    if !(same && places.is_some_and(better)) {
         settings.push(fusion(MARKER_SIGMA, number(own, 6)));
     }
     for name in [LAYOUT_SIGMA, ENCODER_SCALE_SIGMA] {
