@@ -213,6 +213,10 @@ parameters! {
         mounting: f64 = 0.00005, unit("rad"), range(0.0..=0.1), name("calibration.mounting_sigma");
         /// Relative error of the x and y encoders' scale (1 sigma), which widens the covariance.
         encoder_scale: f64 = 0.0002, range(0.0..=0.1), name("calibration.encoder_scale_sigma");
+        /// Distance of the climber from where encoders and `height` place it, each axis (1 sigma),
+        /// which widens the covariance of positions: rails that are not straight or level over some
+        /// meters.
+        rails: f64 = 0.0, unit("m"), range(0.0..=0.1), name("calibration.rail_sigma");
     }
 }
 
@@ -225,6 +229,7 @@ impl CalibrationSigmas {
         layout: 0.0,
         mounting: 0.0,
         encoder_scale: 0.0,
+        rails: 0.0,
     };
 }
 

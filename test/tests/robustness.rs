@@ -2,7 +2,8 @@
 //! them: `make robustness`).
 #![allow(missing_docs, clippy::unwrap_used)]
 
-use pose_fusion::{Fusion, FusionConfig, ekf::consider::CLIMBER_OFFSET};
+use nalgebra::Vector3;
+use pose_fusion::{Fusion, FusionConfig, Input, ekf::consider::CLIMBER_OFFSET};
 use rig_model::Sample;
 use rig_simulator::recording::Recording;
 use std::process::Command;
@@ -160,6 +161,27 @@ fn calibration_errors_are_covered_with_their_sigmas() {
                 assert!(share < limit, "{name}, {error}: {share}");
             }
         }
+    }
+}
+
+/// Rails that are up to 3 mm beside their line and their level, in waves of three meters.
+#[test]
+fn rails_that_are_not_straight_are_covered_with_their_sigma() {
+    for name in BAGS {
+        let Some(mut recording) = recording(name) else { return };
+        for (_, input) in &mut recording.inputs {
+            if let Input::Climber(sample) = input {
+                let place = &mut sample.world_from_climber.translation.vector;
+                let wave = 3e-3 * (std::f64::consts::TAU * (place.x + place.y) / 3.0).sin();
+                *place += Vector3::repeat(wave);
+            }
+        }
+        let mut config = FusionConfig::default();
+        let unknown = beyond(&recording, &config);
+        config.tight.calibration.rails = 3e-3;
+        let known = beyond(&recording, &config);
+        println!("{name}: beyond three sigma {unknown:.3}, with the sigma {known:.3}");
+        assert!(known < 0.005 && known <= unknown, "{name}: {known} {unknown}");
     }
 }
 

@@ -52,6 +52,8 @@ pub struct Uncertainty {
     pub variances: ByParameter,
     /// What an error of the layout's size, 1 sigma, moves the markers' centers by, m.
     size: SVector<f64, OFFSETS>,
+    /// Variance of the climber's position on its rails, each axis, m²: the pose is off by as much.
+    pub rails: f64,
 }
 
 impl Uncertainty {
@@ -63,13 +65,14 @@ impl Uncertainty {
         variances[ENCODER_SCALE] = sigmas.encoder_scale.powi(2);
         variances[CLIMBER_OFFSET] = sigmas.climber_offset.powi(2);
         variances.fixed_rows_mut::<OFFSETS>(MARKERS).fill(sigmas.marker.powi(2));
-        Self { variances, size: size(sigmas.layout, markers) }
+        Self { variances, size: size(sigmas.layout, markers), rails: sigmas.rails.powi(2) }
     }
 
     /// Multiplies every standard deviation by a factor.
     pub fn scale(&mut self, factor: f64) {
         self.variances *= factor * factor;
         self.size *= factor;
+        self.rails *= factor * factor;
     }
 
     /// Widens the standard deviations to twice the errors that images show.

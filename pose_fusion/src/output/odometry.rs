@@ -13,8 +13,9 @@ use crate::{
     },
     measurements::geometry::Geometry,
 };
-use nalgebra::{Isometry3, Matrix3, Matrix6, SMatrix, SVector};
+use nalgebra::{Isometry3, Matrix3, Matrix6, SMatrix, SVector, Vector3};
 use rig_model::Stamp;
+use std::ops::AddAssign;
 
 /// Entries of the error that the odometry consists of.
 const USED: [usize; 4] = [POSITION, VELOCITY, ATTITUDE, GYROSCOPE_BIAS];
@@ -123,5 +124,8 @@ fn covariance_at_imu_time(
         }
     }
     sensitivity -= motion * consider::of_entry(&state.sensitivity, TIME_OFFSET).transpose();
-    p + settings.calibration.spread(&sensitivity, &state.calibration)
+    let rails = Vector3::from_element(settings.calibration.rails);
+    p += settings.calibration.spread(&sensitivity, &state.calibration);
+    p.fixed_view_mut::<3, 3>(0, 0).add_assign(Matrix3::from_diagonal(&rails));
+    p
 }
