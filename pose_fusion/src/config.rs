@@ -201,8 +201,8 @@ parameters! {
         /// Uncertainty of clock.climber_offset (1 sigma), which widens the covariance.
         climber_offset: f64 = 0.002, unit("s"), range(0.0..=0.1), name("clock.climber_sigma");
         /// Error of a marker's place, x and y on the platform (1 sigma), which widens the
-        /// covariance: on a small layout 1 mm may tilt the pose by 1 degree. Where images contradict
-        /// the places, the filter estimates them; 0 takes them as exact.
+        /// covariance: on a small layout 1 mm may tilt the pose by 1 degree. Where images
+        /// contradict the places, the filter estimates them; 0 takes them as exact.
         marker: f64 = 0.00004, unit("m"), range(0.0..=0.05), name("calibration.marker_sigma");
         /// Relative error of the focal length (1 sigma), which widens the covariance.
         focal_length: f64 = 0.0003, range(0.0..=0.1), name("calibration.focal_length_sigma");

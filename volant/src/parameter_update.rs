@@ -74,7 +74,7 @@ pub fn sigma(
     Ok(changes.then(|| Setting { node, name: name.to_owned(), value: number(value, 2) }))
 }
 
-/// Returns a number of a namespace's fusion node in a rig file, where it has one, and the node's name.
+/// Returns the full name of a namespace's fusion node, and a number that a rig file has for it.
 ///
 /// # Errors
 /// A file that is not readable.
@@ -126,8 +126,9 @@ pub struct Update {
 /// namespaces that the file names.
 ///
 /// # Errors
-/// An unreadable file; a place that cannot be edited; a rig file that would become invalid; a block
-/// of a node that overrides a new value for all; see [`files::check_output`] for `out`.
+/// An unreadable file; a value in a form that is not editable in place; a rig file that would
+/// become invalid; a block of a node that overrides a new value for all; see
+/// [`files::check_output`] for `out`.
 pub fn update(
     file: &Path,
     out: Option<&Path>,

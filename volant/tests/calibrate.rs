@@ -265,6 +265,38 @@ fn climber_finds_names_signs_scales_zeros_and_height() {
     assert_eq!(place.text("rig.yaml"), after);
 }
 
+/// The values of the other rig stay, and so does the rig file with `--out`.
+#[test]
+fn climber_changes_the_blocks_that_a_namespaces_nodes_read() {
+    let block = |node: &str, values: &str| format!("{node}: {{ros__parameters: {{{values}}}}}\n");
+    let blocks = ["/**/climber_driver", "/rig1/climber_driver"].map(|n| block(n, "height: 2.5"));
+    let sigma = "calibration.encoder_scale_sigma: 0.05";
+    let sigmas = ["/**/pose_fusion", "/rig1/pose_fusion"].map(|n| block(n, sigma));
+    let before = [RIG_YAML, &blocks.concat(), &sigmas.concat()].concat();
+    let (place, simulated) = (Place::with_rig(&before), Simulated::new(4));
+    simulated.write_jog(&place.path("jog.mcap"), true);
+    let t = resting().translation;
+    let platform = format!("--platform {},{},{}", t.x, t.y, t.z);
+    let topics = ["joint_states", "markers", "camera/camera_info"];
+    let remap = topics.map(|name| format!(" --remap climber/{name}:=/climber/{name}")).concat();
+    let rig1 = format!("--namespace rig1{remap}");
+    let climber = format!("calibrate climber jog.mcap --rig rig.yaml {rig1} {platform}");
+    place.write("encoders.yaml", "# encoders\n");
+    let printed = place.done(&format!("{climber} --params-file encoders.yaml --out new.yaml"));
+    assert!(
+        printed.contains("rig.yaml: unchanged") && printed.contains("scale_sigma"),
+        "{printed}"
+    );
+    assert_eq!(place.text("rig.yaml"), before);
+    place.done(&climber);
+    let after = place.text("rig.yaml");
+    let value = |node: &str, name: &str| parameters(&after, node)[name].as_f64().unwrap();
+    assert!((value("/rig1/climber_driver", "height") - simulated.height).abs() < 0.01);
+    assert!(value("/rig1/pose_fusion", "calibration.encoder_scale_sigma") < 0.005);
+    assert_eq!(value("/rig2/climber_driver", "height"), 2.5);
+    assert_eq!(value("/rig2/pose_fusion", "calibration.encoder_scale_sigma"), 0.05);
+}
+
 #[test]
 fn a_climber_without_a_turn_is_calibrated() {
     let rig = dressed(RIG_YAML).replace("height: 2.5 # m\n", "height: 2.5\n    joints.turn: ''\n");

@@ -26,8 +26,8 @@ const LIMITS: [(f64, f64); FILE_ERRORS] = [
     (0.1, 0.02),
     (0.01, 0.005),
 ];
-/// Standard deviations by which a reported error differs from zero; that of the size, which steps of
-/// a slow climber's encoders resemble, is up to 6.5 with correct files.
+/// Standard deviations by which a reported error differs from zero; that of the size, which steps
+/// of a slow climber's encoders resemble, is up to 6.5 with correct files.
 const CERTAIN: f64 = 5.0;
 const CERTAIN_SIZE: f64 = 8.0;
 

@@ -88,10 +88,10 @@ impl Since {
                 self.jumped = Some(stamp);
                 return Some(step);
             }
-            // Another clock.
+            // The source's clock has stepped.
             _ => (self.jumped, self.count, self.usual) = (None, 1, None),
         }
-        // Messages that were held up and come together are no time without IMU samples.
+        // Messages that were held up and arrive together do not show that the IMU is silent.
         let is_usual = self.usual.zip(self.ahead).is_some_and(|(usual, ahead)| ahead <= usual);
         if is_usual && !self.is_longer_than(SILENCE) {
             self.count = 1;
@@ -109,10 +109,10 @@ impl Since {
         self.count = 0;
         let most = self.most.take();
         let before = self.usual.map(|usual| usual - FADES * step);
-        // Before the first ones, held up messages look like silence.
+        // While nothing is known of the usual, messages that arrive together look like silence.
         let short = |most: &f64| self.usual.is_none() && *most < SILENCE;
         self.usual = match most.filter(|most| !is_silent || short(most)) {
-            // The clocks are others.
+            // The IMU's clock has stepped.
             _ if !(0.0..=STRAY).contains(&step) => None,
             Some(most) => Some(before.map_or(most, |before| before.max(most))),
             None => before,

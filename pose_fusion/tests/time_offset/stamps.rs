@@ -1,5 +1,5 @@
-//! Stamps that are not a constant apart: latencies that change, rolling shutters, jitter, stalls and
-//! clocks that drift.
+//! Stamps that are not a constant apart: latencies that change, rolling shutters, jitter, stalls
+//! and clocks that drift.
 
 use crate::{
     common::{scoring, simulated},

@@ -231,8 +231,8 @@ pub fn intrinsics(walk: &mut Walk) -> Result<()> {
 fn focal_length(walk: &mut Walk, f: f64) -> Result<()> {
     let known = setup::of_fusion(walk, FOCAL_LENGTH_SIGMA)?;
     let share = known.unwrap_or(FusionConfig::default().tight.calibration.focal_length);
-    let question = "  standard deviation of fx, px: `calibrate camera` prints it; 1 % of fx where it \
-                    is from a data sheet";
+    let question = "  standard deviation of fx, px: `calibrate camera` prints it; 1 % of fx where \
+                    it is from a data sheet";
     let [deviation] = dialog::numbers(question, [f * share], |[deviation]| {
         let possible = f * LARGEST_SHARE;
         if (0.0..=possible).contains(deviation) {

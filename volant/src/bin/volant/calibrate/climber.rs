@@ -51,8 +51,8 @@ pub struct Arguments {
     /// Parameter file of climber_driver to update [default: the rig file]
     #[arg(long, value_name = "FILE")]
     pub params_file: Option<PathBuf>,
-    /// Node whose parameters are updated; `/**/` stands for any namespace, with --namespace for that
-    /// one
+    /// Node whose parameters are updated; `/**/` stands for any namespace, with --namespace for
+    /// that one
     #[arg(long, value_name = "NAME", default_value = NODE)]
     pub node: String,
     /// Where the platform's origin is in the world while it rests, m: gives the readings at the
