@@ -38,7 +38,7 @@ fn exceeds(name: &str, perturbation: &Perturbation) -> bool {
         CameraMounting(_) | FocalLength(_) | Layout(_) => true,
         EncoderScale(_) => matches!(name, "nominal" | "occlude_two" | "clutter"),
         AccelerometerScale(_) => name == "fast_swing",
-        EncoderDelay(_) => matches!(name, "real_fast" | "real_tapping"),
+        EncoderDelay(delay) => name == "real_fast" || name == "real_tapping" && *delay < 0.3,
         ImuStuck(_) => matches!(name, "nominal" | "real_tapping"),
         EncoderFrozen(_) | AxisFrozen(_) | ImuZeros(_) | ImuSpike(_) | GyroSaturated(_)
         | ImuLost(_) | EncodersLost(_) | ImagesLost(_) | ImuBursts(_) | Exchanged(_) => {
@@ -91,6 +91,27 @@ fn a_sensor_that_fails_while_the_filter_starts_does_no_lasting_harm() {
                 assert_eq!(cell.catastrophe, None, "{about}");
                 assert!(!recovers || after < RECOVERED, "{about}: {after} mm");
                 assert!(!wrong || cell.failures.is_empty(), "{about}: {:?}", cell.failures);
+            }
+        }
+    }
+}
+
+/// Encoders that get stuck whenever the climber drives, turns around or stands. Before, a freeze of
+/// one axis was often not found: up to 0.48 m off.
+#[test]
+fn encoders_that_get_stuck_at_any_time_do_not_take_the_pose_with_them() {
+    for name in ["nominal", "occlude_two", "clutter", "fast_swing"] {
+        let Some(recording) = recording(name) else { return };
+        for from in [4.0, 5.0, 6.5, 8.0, 10.0] {
+            for perturbation in [Perturbation::EncoderFrozen(2.0), Perturbation::AxisFrozen(2.0)] {
+                let mut changed = recording.clone();
+                perturbation.apply_from(from, &mut changed);
+                let scored = score::run(&changed, &FusionConfig::default());
+                let figures = scored.figures(from, from + 4.0);
+                assert!(
+                    figures.position[1] < 45.0 && figures.beyond < 0.04,
+                    "{name}: {perturbation} from {from} s: {figures:?}"
+                );
             }
         }
     }

@@ -1,38 +1,60 @@
 //! Shake of the camera: an error that all markers of an image share, and that is another one in the
-//! next image. It is found in second differences from image to image, of which each takes back the
-//! one before. Equations: `docs/src/equations.md`, "Markers".
+//! next image. It is found in changes from image to image that take back earlier ones. Equations:
+//! `docs/src/equations.md`, "Markers".
 
 use crate::measurements::markers::ImageInnovation;
 use nalgebra::Vector2;
 use rig_model::Stamp;
 
 /// Number of images over which the variances are means.
-const MEMORY: f64 = 15.0;
+const MEMORY: f64 = 30.0;
 /// Largest difference that counts, in units of what earlier ones predict: one image is no shake.
 const SURPRISING: f64 = 3.0;
 /// A variance above this many times what the images claim is a shake …
-const LARGE: f64 = 4.5;
-/// … where the differences contradict each other by this share of their square: two thirds for
-/// white noise, −cos θ for a vibration that advances by the angle θ from image to image.
+const LARGE: f64 = 6.0;
+/// … where differences contradict by this share of their square the ones before (two thirds for
+/// white noise) …
 const ALTERNATING: f64 = 0.2;
+/// … or, for vibrations that advance by 30 to 180° from image to image, where they contradict by
+/// this share those up to half of [`LAGS`] images before (a sine by three quarters at least), and
+/// resemble by this share those twice as long before.
+const OPPOSED: f64 = 0.35;
+const REPEATED: f64 = 0.1;
+const LAGS: usize = 12;
+/// Largest cosine of the angle from image to image: 30°.
+const SLOWEST: f64 = 0.866;
 /// Images further apart than this say nothing: the error of the motion grows, s.
 const APART: f64 = 0.25;
-/// Variance of a shake that the first images cannot exclude, px².
+/// Variance of a shake that the first images cannot exclude, px², and their number.
 const UNKNOWN: f64 = 0.2 * 0.2;
+const FIRST: f64 = 15.0;
+/// Number of changes whose mean is the usual one.
+const USUAL: usize = 3;
 /// `−E[d[k] d[k−1]]` and `E[d²]` of white noise of variance 1.
-const WHITE: [f64; 2] = [4.0, 6.0];
+const WHITE: [f64; 2] = [4.0 / 3.0, 26.0 / 9.0];
+
+/// Returns the mean square of the deviations of a vibration of variance 1 that advances by an angle
+/// of this cosine from image to image.
+fn of_vibration(cosine: f64) -> f64 {
+    let angle = cosine.acos();
+    let usual = (1..=USUAL).map(|k| (k as f64 * angle).sin_cos());
+    let (sine, cosine_) = usual.fold((0.0, 0.0), |sum, (s, c)| (sum.0 + s, sum.1 + c));
+    let count = USUAL as f64;
+    (2.0 - 2.0 * cosine) * ((1.0 - cosine_ / count).powi(2) + (sine / count).powi(2))
+}
 
 /// Shake of the camera, by image axis.
 #[derive(Clone, Debug, Default)]
 pub struct CameraShake {
     /// Newest image, and what was left of its residuals, px; NaN where there is no marker.
     last: Option<(Stamp, [Vector2<f64>; 4])>,
-    /// First and second difference of the mean marker at the newest image, px.
-    change: Option<Vector2<f64>>,
-    bend: Option<Vector2<f64>>,
-    /// Mean square of the second differences, and of what each takes back of the one before, px².
+    /// Changes of the mean marker from image to image, and their deviations from the mean of those
+    /// before, the newest one first, px.
+    changes: [Option<Vector2<f64>>; USUAL],
+    deviations: [Option<Vector2<f64>>; LAGS],
+    /// Mean square of the deviations, and of what each takes back of those before it, px².
     square: Vector2<f64>,
-    alternating: Vector2<f64>,
+    opposed: [Vector2<f64>; LAGS],
     /// Number of images, up to [`MEMORY`].
     count: f64,
     /// Variance of the mean marker that the newest image claims, px².
@@ -49,18 +71,30 @@ impl CameraShake {
         self.count = (self.count + 1.0).min(MEMORY);
         let change = self.change_to(stamp, record);
         self.claimed = record.mean_variance;
-        let bend = change.zip(self.change).map(|(change, before)| {
+        let deviation = change.zip(self.usual_change()).map(|(change, usual)| {
             let least = self.claimed.add_scalar(self.doubt()) * WHITE[1];
             let most = self.square.sup(&least);
             let most = most.map(|square| SURPRISING * square.sqrt());
-            (change - before).zip_map(&most, |d, most| d.clamp(-most, most))
+            (change - usual).zip_map(&most, |d, most| d.clamp(-most, most))
         });
-        if let (Some(bend), Some(before)) = (bend, self.bend) {
-            self.square += (bend.component_mul(&bend) - self.square) / self.count;
-            self.alternating -= (bend.component_mul(&before) + self.alternating) / self.count;
+        if let (Some(d), [Some(_), ..]) = (deviation, self.deviations) {
+            self.square += (d.component_mul(&d) - self.square) / self.count;
+            for (opposed, before) in self.opposed.iter_mut().zip(&self.deviations) {
+                let product = before.map_or(Vector2::zeros(), |before| d.component_mul(&before));
+                *opposed -= (product + *opposed) / self.count;
+            }
         }
-        (self.change, self.bend) = (change, bend);
+        self.changes.rotate_right(1);
+        self.changes[0] = change;
+        self.deviations.rotate_right(1);
+        self.deviations[0] = deviation;
         self.corrected(stamp, record);
+    }
+
+    /// Returns the mean of the last changes: an error of the velocity.
+    fn usual_change(&self) -> Option<Vector2<f64>> {
+        let sum: Option<Vector2<f64>> = self.changes.iter().copied().sum();
+        sum.map(|sum| sum / USUAL as f64)
     }
 
     /// Returns by how much the markers changed unlike the prediction since the image before: the
@@ -91,25 +125,35 @@ impl CameraShake {
 
     /// Notes that the pose was initialized from an image: differences begin there.
     pub fn interrupt(&mut self, stamp: Stamp, record: &ImageInnovation) {
-        (self.last, self.change, self.bend) = (None, None, None);
+        (self.last, self.changes, self.deviations) = (None, [None; USUAL], [None; LAGS]);
         self.corrected(stamp, record);
     }
 
     /// Returns the variance of the shake in x and y of the image, px²; 0 without one.
     pub fn variance(&self) -> Vector2<f64> {
         Vector2::from_fn(|axis, _| {
-            let (alternating, claimed) = (self.alternating[axis], self.claimed[axis]);
-            let variance = alternating / WHITE[0];
-            let shakes =
-                variance > LARGE * claimed && alternating > ALTERNATING * self.square[axis];
-            let found = if shakes { variance - claimed } else { 0.0 };
+            let (square, claimed) = (self.square[axis], self.claimed[axis]);
+            let opposed = self.opposed.map(|product| product[axis]);
+            let mut variance = 0.0;
+            if opposed[0] > ALTERNATING * square {
+                variance = opposed[0] / WHITE[0];
+            }
+            let sine = square - WHITE[1] * claimed;
+            let vibrates = (1..=LAGS / 2).any(|lag| {
+                opposed[lag - 1] > OPPOSED * square && -opposed[2 * lag - 1] > REPEATED * square
+            });
+            if square > LARGE * WHITE[1] * claimed && vibrates {
+                let cosine = (-(opposed[0] - WHITE[0] * claimed) / sine).clamp(-1.0, SLOWEST);
+                variance = f64::max(variance, sine / of_vibration(cosine) + claimed);
+            }
+            let found = if variance > LARGE * claimed { variance - claimed } else { 0.0 };
             found.max(self.doubt())
         })
     }
 
     /// Returns the variance of a shake that too few images exclude, px².
     fn doubt(&self) -> f64 {
-        UNKNOWN * (1.0 - self.count / MEMORY).powi(2)
+        UNKNOWN * (1.0 - self.count / FIRST).max(0.0).powi(2)
     }
 }
 
@@ -146,6 +190,7 @@ mod tests {
                 used: 4,
                 misfit: None,
                 against_prediction: None,
+                with_free_climber: [f64::NAN; 3],
                 mean_variance: Vector2::repeat(CLAIMED),
                 left: residuals.map(|residual| residual - mean * 0.5),
                 evidence: Default::default(),
@@ -163,9 +208,12 @@ mod tests {
         let all = |x: f64| [Vector2::new(x, -x); 4];
         let white = found(33, |_, random| [Vector2::from_fn(|_, _| 0.3 * random.normal()); 4]);
         assert!((0.03..0.2).contains(&white), "{white}");
-        // 9 Hz at 30 images per second.
-        let vibration = found(33, |k, _| all(0.3 * (k as f64 * 1.885).sin()));
-        assert!((0.01..0.1).contains(&vibration), "{vibration}");
+        // 9, 7 and 4 Hz at 30 images per second.
+        for (angle, amplitude) in [(1.885, 0.3), (1.466, 0.3), (0.838, 0.6)] {
+            let vibration = found(33, |k, _| all(amplitude * (k as f64 * angle).sin()));
+            let range = amplitude.powi(2) * 0.2..amplitude.powi(2);
+            assert!(range.contains(&vibration), "{angle}: {vibration}");
+        }
         assert_eq!(CameraShake::default().variance(), Vector2::repeat(UNKNOWN));
         let none = found(33, |_, _| all(0.0));
         let motion = found(33, |k, _| all(20.0 * (k as f64 * 0.2).sin()));

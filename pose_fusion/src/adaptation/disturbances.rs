@@ -104,6 +104,11 @@ impl Disturbances {
         from
     }
 
+    /// Forgets the shocks of the platform that end after `from`: something else was wrong.
+    pub fn forget_shocks(&mut self, from: Stamp) {
+        self.0.retain(|d| d.force == 0.0 || d.to <= from);
+    }
+
     /// Returns whether a shock of the platform ends at `to`.
     pub fn has_shock(&self, to: Stamp) -> bool {
         self.0.iter().any(|d| d.force > 0.0 && d.to == to)

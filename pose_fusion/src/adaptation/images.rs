@@ -5,6 +5,7 @@ use super::{
     innovation_scale::{InnovationScale, PIXEL_NOISE},
     layout_misfit::LayoutMisfit,
     stamp_jitter::KEPT,
+    unreported_motion::UnreportedMotion,
 };
 use crate::measurements::{
     markers::{AGREEING, Residual},
@@ -28,6 +29,10 @@ pub struct ImageAdaptation {
     pub rope: RopeIdentification,
     /// Error of the marker layout.
     pub layout: LayoutMisfit,
+    /// Newest image with which the model error was small.
+    pub calm: Option<Stamp>,
+    /// Motion of the climber that its encoders do not report.
+    pub climber_motion: UnreportedMotion,
     /// Misfit of the newest image with four markers, in units of its covariance.
     whitened: Residual,
 }

@@ -61,24 +61,28 @@ impl ImuIntegrity {
         }
     }
 
-    /// Returns the additional densities of the step of `dt` seconds to this reading: nonlinearity
-    /// (growing with rate and specific force), shocks between samples, saturated and stuck values.
-    /// `variances` are those of one sample, (m/s²)² and (rad/s)².
+    /// Returns the densities of the IMU's nonlinearity, which grows with rate and specific force, in
+    /// the step of `dt` seconds to this reading.
+    pub fn nonlinearity(&mut self, reading: &ImuReading, dt: f64) -> Densities {
+        let mean = *self.mean_force.get_or_insert(reading.specific_force);
+        let share = (dt / MEAN_FORCE).clamp(0.0, 1.0);
+        self.mean_force = Some(mean + (reading.specific_force - mean) * share);
+        Densities {
+            force: (SCALE * (reading.specific_force - mean).norm()).powi(2) * CORRELATION,
+            rate: (SCALE * reading.angular_velocity.norm()).powi(2) * CORRELATION,
+        }
+    }
+
+    /// Returns the additional densities of the step of `dt` seconds to this reading: shocks between
+    /// samples, saturated and stuck values. `variances` are those of one sample, (m/s²)² and
+    /// (rad/s)².
     pub fn additional(
         &mut self,
         reading: &ImuReading,
         dt: f64,
         variances: &Densities,
-        scale_factor: f64,
     ) -> Densities {
-        let mean = *self.mean_force.get_or_insert(reading.specific_force);
-        let share = (dt / MEAN_FORCE).clamp(0.0, 1.0);
-        self.mean_force = Some(mean + (reading.specific_force - mean) * share);
-        let mut more = Densities {
-            force: (scale_factor * SCALE * (reading.specific_force - mean).norm()).powi(2)
-                * CORRELATION,
-            rate: (scale_factor * SCALE * reading.angular_velocity.norm()).powi(2) * CORRELATION,
-        };
+        let mut more = Densities::default();
         let Some(previous) = self.previous.replace(*reading) else { return more };
         if let Some(before) = self.before.replace(previous) {
             let jump = |of: fn(&ImuReading) -> Vector3<f64>, variance: f64| {
@@ -156,7 +160,7 @@ mod tests {
     #[test]
     fn shocks_saturation_and_stuck_values_raise_the_noise_and_calm_motion_does_not() {
         let mut integrity = ImuIntegrity::default();
-        let mut next = |r: ImuReading| integrity.additional(&r, 0.01, &VARIANCES, 1.0);
+        let mut next = |r: ImuReading| integrity.additional(&r, 0.01, &VARIANCES);
         next(reading(0.0, 0.29));
         next(reading(0.02, 0.3));
         let calm = next(reading(0.05, 0.31));
@@ -176,8 +180,8 @@ mod tests {
     #[test]
     fn a_scale_error_counts_in_proportion_to_the_motion() {
         let mut integrity = ImuIntegrity::default();
-        let slow = integrity.additional(&reading(0.0, 0.1), 0.01, &VARIANCES, 1.0).rate;
-        let fast = integrity.additional(&reading(0.01, 3.0), 0.0, &VARIANCES, 1.0).rate;
+        let slow = integrity.nonlinearity(&reading(0.0, 0.1), 0.01).rate;
+        let fast = integrity.nonlinearity(&reading(0.01, 3.0), 0.0).rate;
         assert!(fast > 300.0 * slow, "{slow} {fast}");
     }
 }

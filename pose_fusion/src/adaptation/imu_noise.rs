@@ -32,6 +32,11 @@ pub struct Densities {
 }
 
 impl Densities {
+    /// Changes both values.
+    pub fn map(&self, f: impl Fn(f64) -> f64) -> Self {
+        Self { force: f(self.force), rate: f(self.rate) }
+    }
+
     /// Combines both values with those of `other`.
     pub fn zip(&self, other: &Self, f: impl Fn(f64, f64) -> f64) -> Self {
         Self { force: f(self.force, other.force), rate: f(self.rate, other.rate) }

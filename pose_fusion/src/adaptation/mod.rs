@@ -10,3 +10,4 @@ pub mod innovation_scale;
 pub mod layout_misfit;
 pub mod stamp_jitter;
 pub mod stationary;
+pub mod unreported_motion;

@@ -12,7 +12,7 @@ use crate::{
         encoders::{self, CONTRADICTION},
     },
     output::Warning,
-    timeline::history::Event,
+    timeline::history::{Entry, Event},
 };
 use rig_model::Stamp;
 
@@ -23,10 +23,14 @@ const JERKED: f64 = 0.1;
 /// A climber moves where its estimated rate is this many sigma from zero.
 const MOVES: f64 = 5.0;
 
+/// Images may have contradicted the prediction for this time before an axis stopped that is stuck, s.
+const CALM: f64 = 0.2;
 /// Encoders are suspended that contradict although no reading has been used for this time, s.
 const UNUSED: f64 = 0.15;
 /// Residual beyond which the readings of suspended encoders have ever less weight, m and rad.
 const FAR_OFF: f64 = 0.1;
+/// Standard deviation of axes that are not measured, m and rad.
+const UNMEASURED: f64 = 1e3;
 /// Errors of their readings within this time are the same, s.
 const CORRELATED_FOR: f64 = 0.02;
 
@@ -60,6 +64,9 @@ impl Filter {
             self.set_excluded(place, true);
             return false;
         }
+        if self.stands_beside(at, innovation) {
+            return false;
+        }
         let first = self.history.get(0).map_or(at, |first| first.stamp);
         let (since, from) =
             self.history.reading_before(place, DISTURBED_READINGS).unwrap_or((0, first));
@@ -83,6 +90,19 @@ impl Filter {
         false
     }
 
+    /// Suspends encoders of which one has stood beside the estimate of its axis: the images moved
+    /// that. Returns whether it does.
+    fn stands_beside(&mut self, at: Stamp, innovation: &Innovation<3>) -> bool {
+        let read = at.plus_seconds(-self.encoder_offset());
+        let mut standing = self.climber.may_have_stuck(read);
+        for (i, since) in standing.iter_mut().enumerate() {
+            let nis = innovation.residual[i].powi(2) / innovation.covariance[(i, i)];
+            *since = since.filter(|_| nis > CONTRADICTION);
+        }
+        let since = standing.into_iter().flatten().max();
+        since.is_some_and(|since| self.suspect_stuck(standing, since, at))
+    }
+
     /// Judges a reading of encoders that are suspended. Returns whether the time line was replaced.
     fn judge_encoders(&mut self, place: usize, at: Stamp, innovation: &Innovation<3>) -> bool {
         let timeout = self.setup.config.climber.step_timeout;
@@ -101,8 +121,9 @@ impl Filter {
         let seen = EncoderEvidence { standing, axis_stands, axis_stopped, moves, moves_on, leap };
         match self.trust.judge(at, innovation.nis, &innovation.residual, seen, timeout) {
             Verdict::Exclude => {
-                if !standing && self.trust.cause() != Some(Cause::Leap) {
-                    self.use_with_inflated_noise(place, innovation);
+                let moving = self.climber.moving();
+                if moving != [false; 3] && self.trust.cause() != Some(Cause::Leap) {
+                    self.use_with_inflated_noise(place, innovation, moving);
                 }
                 false
             }
@@ -128,13 +149,20 @@ impl Filter {
 
     /// Uses a reading of suspended encoders that move with a sigma as large as its residual, and
     /// larger beyond [`FAR_OFF`]: readings that are late bound the drift of the climber, and those
-    /// that are far off have no weight. All readings within [`CORRELATED_FOR`] count as one.
-    fn use_with_inflated_noise(&mut self, place: usize, innovation: &Innovation<3>) {
+    /// that are far off have no weight. Axes that do not move are not used. All readings within
+    /// [`CORRELATED_FOR`] count as one.
+    fn use_with_inflated_noise(
+        &mut self,
+        place: usize,
+        innovation: &Innovation<3>,
+        moving: [bool; 3],
+    ) {
         let count = self.climber.readings_in(CORRELATED_FOR);
         if let Some(entry) = self.history.get_mut(place)
             && let Event::Encoders { reading, excluded, .. } = &mut entry.event
         {
-            let sigmas = innovation.residual.map(|r| r.abs() * (r.abs() / FAR_OFF).max(1.0));
+            let mut sigmas = innovation.residual.map(|r| r.abs() * (r.abs() / FAR_OFF).max(1.0));
+            (0..3).filter(|i| !moving[*i]).for_each(|i| sigmas[i] = UNMEASURED);
             reading.variance = reading.variance.sup(&(sigmas.component_mul(&sigmas) * count));
             *excluded = false;
         }
@@ -143,14 +171,19 @@ impl Filter {
 
     /// Continues without encoders of which one stands, where the images contradict the prediction:
     /// it may be stuck while the climber drives. Returns whether it does.
-    pub(super) fn try_without_encoders(&mut self, at: Stamp) -> bool {
+    pub(super) fn try_without_encoders(&mut self, place: usize) -> bool {
+        let Some(Entry { stamp: at, state, .. }) = self.history.get(place) else { return false };
+        let (at, rates, sigmas) = (*at, state.climber_rate, state.sigmas(CLIMBER_RATE));
         let read = at.plus_seconds(-self.encoder_offset());
-        let standing = self.climber.may_have_stuck(read);
+        let shown = self.images.climber_motion.is_shown();
+        let mut standing = self.climber.may_have_stuck(read);
+        for (i, since) in standing.iter_mut().enumerate() {
+            *since = since.filter(|_| shown[i] || rates[i].abs() > MOVES * sigmas[i]);
+        }
         let Some(since) = standing.into_iter().flatten().max() else { return false };
         let suspected = self.suspect_stuck(standing, since, at);
         if suspected {
             self.trust.note_trial(at);
-            self.images.model_error = Default::default();
         }
         suspected
     }
@@ -167,10 +200,16 @@ impl Filter {
     ) -> bool {
         let from = since.plus_seconds(self.encoder_offset());
         // Without the IMU images do not tell the climber's motion from the platform's.
-        let suspected = self.trust.may_suspect(from, at) && !self.is_without_imu();
+        // What images contradicted before is not the fault of an axis that stopped later.
+        let calm = self.images.calm.is_some_and(|calm| since.seconds_since(calm) < CALM);
+        let suspected = calm && self.trust.may_suspect(from, at) && !self.is_without_imu();
         if suspected {
             self.climber.suspect_stuck(axes);
             self.exclude_since(from);
+            // What explained the images until then.
+            self.images.model_error = Default::default();
+            self.disturbances.forget_shocks(from);
+            self.withdraw_doubt(from);
             self.publisher.warn(Warning::EncodersStuck { since });
             // Stuck once the climber certainly moves meanwhile: where the images are at fault, it
             // only drifts.

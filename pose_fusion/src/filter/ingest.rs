@@ -2,7 +2,7 @@
 
 use super::{Filter, processing::OFFSET_DOUBTED};
 use crate::{
-    adaptation::{imu_integrity::ImuIntegrity, stamp_jitter},
+    adaptation::{imu_integrity::ImuIntegrity, imu_noise::Densities, stamp_jitter},
     ekf::{propagation::ImuReading, state::ATTITUDE},
     input::{climber_track::ClimberTrack, imu_stamps::Bursts, markers},
     measurements::{
@@ -210,7 +210,8 @@ impl Filter {
         }
         self.publisher.counts.inputs.late_imu += 1;
         let noise = self.imu.densities(&self.setup.rig.imu);
-        let place = self.history.insert(stamp, Event::Imu { noise, at_rest: None }, reading);
+        let event = Event::Imu { noise, doubt: Densities::default(), at_rest: None };
+        let place = self.history.insert(stamp, event, reading);
         self.interpolate_again(place);
         self.process();
     }

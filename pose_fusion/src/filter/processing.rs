@@ -37,8 +37,8 @@ const SHOCK_NIS_GATED: f64 = 31.83;
 const SHORT: f64 = 0.02;
 /// Largest factor of the model error with which a gated image means a shock.
 const SUDDEN: f64 = 1.5;
-/// Mean square of innovations per degree of freedom from which standing encoders may be stuck.
-const DOUBTED: f64 = 1.4;
+/// Factor above which images contradict the prediction: a shock leaves 3.
+const UNCALM: f64 = 6.0;
 /// Factor on the images that must contradict where their markers may disagree with each other.
 const DISAGREEING: u32 = 3;
 /// Share of a residual that a shock explains by rotation, which the IMU measures better.
@@ -156,6 +156,9 @@ impl Filter {
             return false;
         }
         self.images.shake.add(stamp, record);
+        if self.images.model_error.factor <= UNCALM {
+            self.images.calm = self.images.calm.max(Some(stamp));
+        }
         if record.used >= 3 {
             self.compare_directions(place, stamp);
         }
@@ -223,6 +226,12 @@ impl Filter {
         let confirmed = self.monitor.note_shock(is_shock, before);
         let since = if short { confirmed } else { Some(before) };
         if let Some(since) = since.filter(|_| is_shock && agrees && !excused && settled) {
+            let standing = self.standing_that_explain(record);
+            if let Some(stood) = standing.into_iter().flatten().min()
+                && self.suspect_stuck(standing, stood, at)
+            {
+                return false;
+            }
             self.add_shock_noise(place, since, record);
         }
         if let Some(misfit) = &record.misfit {
@@ -240,9 +249,9 @@ impl Filter {
         // Images alone follow a swing roughly.
         let unpredicted = excused || self.arrival.is_imu_silent();
         if let (Some(internal), false) = (internal, unpredicted) {
+            self.images.climber_motion.add(&record.evidence, self.climber.standing());
             let grows = self.images.model_error.add(record.nis - internal, &MODEL_ERROR);
-            let doubted = self.images.model_error.ratio > DOUBTED && self.search.is_none();
-            if (grows || doubted) && self.try_without_encoders(at) {
+            if self.search.is_none() && self.try_without_encoders(place) {
                 return false;
             }
             if self.images.model_error.factor > SUDDEN {
@@ -297,8 +306,11 @@ impl Filter {
         // time offset is what they contradict.
         let known = self.offset_doubt() <= OFFSET_DOUBTED;
         let earliest = at.plus_seconds(-self.encoder_offset() - SUSPECT);
-        let stopped =
-            self.climber.stopped_since().map(|axis| axis.filter(|s| known && *s > earliest));
+        let explaining = self.standing_that_explain(record);
+        let mut stopped = self.climber.stopped_since();
+        for (stopped, explains) in stopped.iter_mut().zip(explaining) {
+            *stopped = stopped.filter(|since| known && *since > earliest).or(explains);
+        }
         if let Some(since) = stopped.into_iter().flatten().min()
             && self.suspect_stuck(stopped, since, at)
         {
@@ -310,6 +322,17 @@ impl Filter {
         self.add_shock_noise(place, last_used, record);
         self.publisher.warn(Warning::Shock { since, stamp });
         false
+    }
+
+    /// Returns since when each axis of the climber has stood whose motion alone explains an image,
+    /// while another axis moves: its encoder may be stuck.
+    fn standing_that_explain(&self, record: &ImageInnovation) -> [Option<Stamp>; 3] {
+        let (standing, since) = (self.climber.standing(), self.climber.standing_since());
+        let known = self.offset_doubt() <= OFFSET_DOUBTED && standing != [true; 3];
+        std::array::from_fn(|i| {
+            let explains = known && standing[i] && record.with_free_climber[i] < SHOCK_NIS;
+            since[i].filter(|_| explains)
+        })
     }
 
     /// Re-propagates since the last used image with the noise of a shock that explains residuals.

@@ -8,12 +8,24 @@ use crate::{
     timeline::history::Event,
 };
 use nalgebra::Vector3;
+use rig_model::Stamp;
 
 /// Factor between assumed and identified variance of the encoders from which the readings are
 /// weighed again.
 const REWEIGHED: f64 = 1.5;
 
 impl Filter {
+    /// Withdraws the noise that contradicting images added to the samples from an instant on.
+    pub(super) fn withdraw_doubt(&mut self, from: Stamp) {
+        for place in self.history.place_of(from)..self.history.len() {
+            let Some(entry) = self.history.get_mut(place) else { continue };
+            if let Event::Imu { noise, doubt, .. } = &mut entry.event {
+                let doubt = std::mem::take(doubt);
+                *noise = noise.zip(&doubt, |noise, doubt| noise - doubt);
+            }
+        }
+    }
+
     /// The first readings identify the encoders' noise and were weighed before that: where it is
     /// found to be another than was assumed, they and the initial state are weighed again.
     pub(super) fn reweigh_readings(&mut self, variance: &Vector3<f64>) {

@@ -119,13 +119,19 @@ impl ImuInput {
         let given = given(mounting);
         self.noise.add(reading, dt.unwrap_or(0.0));
         let noise = self.noise.densities(&given);
-        let Some(dt) = dt else { return Event::Imu { noise, at_rest: None } };
+        let Some(dt) = dt else {
+            return Event::Imu { noise, doubt: Densities::default(), at_rest: None };
+        };
         let period = self.noise.period();
         let found = self.noise.sample_variances();
         let variances = found.zip(&given, |found, given| found.max(given / period));
         let at_rest = self.stationary.add(reading, dt, &variances);
-        let more = self.integrity.additional(reading, dt, &variances, model_error);
-        Event::Imu { noise: noise.zip(&more, |usual, more| usual + more), at_rest }
+        let nonlinear = self.integrity.nonlinearity(reading, dt);
+        let more = self.integrity.additional(reading, dt, &variances);
+        let doubt = nonlinear.map(|density| density * (model_error.powi(2) - 1.0));
+        let noise =
+            [nonlinear, more, doubt].iter().fold(noise, |sum, part| sum.zip(part, |a, b| a + b));
+        Event::Imu { noise, doubt, at_rest }
     }
 
     /// Ignores the IMU's own attitude from now on.

@@ -38,6 +38,8 @@ pub struct Solution {
     pub whitened: Residual,
     /// `L⁻¹ (H V + E)`.
     pub by_parameter: ByCalibration,
+    /// `L⁻¹` of the derivatives by the climber's x, y and turn.
+    pub by_climber: SMatrix<f64, 8, 3>,
 }
 
 /// Largest number of linearizations; a fifth one changes nothing on any recorded bag.
@@ -130,6 +132,8 @@ pub fn solve(
         let l = cholesky.l();
         let root = l.solve_lower_triangular(&gain.transpose())?.transpose();
         let by_parameter = l.solve_lower_triangular(&rows_of(&at_prior.by_parameter, mask))?;
+        let by_climber = jacobian.fixed_columns::<3>(6).into_owned();
+        let by_climber = l.solve_lower_triangular(&by_climber)?;
         let whitened = l.solve_lower_triangular(&target)?;
         return cost.is_finite().then_some(Solution {
             step,
@@ -138,6 +142,7 @@ pub fn solve(
             nis,
             whitened,
             by_parameter,
+            by_climber,
         });
     }
     None

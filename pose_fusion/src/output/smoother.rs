@@ -184,7 +184,11 @@ mod tests {
                 let residual = truth(i as f64 * dt) - state.position.x;
                 update::scalar(&mut state, &[(POSITION, 1.0)], residual, 1e-6, &none);
             }
-            let event = Event::Imu { noise: Densities::default(), at_rest: None };
+            let event = Event::Imu {
+                noise: Densities::default(),
+                doubt: Densities::default(),
+                at_rest: None,
+            };
             entries.push(entry(i as f64 * dt, event, state));
         }
         let smoothed = smooth(&entries, 9.81);

@@ -30,6 +30,8 @@ pub enum Event {
     Imu {
         /// Noise densities of the step to this sample.
         noise: Densities,
+        /// What of it comes from images that contradicted the prediction.
+        doubt: Densities,
         /// Mean angular velocity of the window that ends here, where at rest, rad/s.
         at_rest: Option<Vector3<f64>>,
     },
@@ -284,7 +286,11 @@ mod tests {
         ] {
             let mut history = History::default();
             for ms in (0..=100 + follow).step_by(period) {
-                let event = Event::Imu { noise: Densities::default(), at_rest: None };
+                let event = Event::Imu {
+                    noise: Densities::default(),
+                    doubt: Densities::default(),
+                    at_rest: None,
+                };
                 history.insert(at(ms), event, reading(ms));
             }
             let place = history.insert(at(100), Event::Set, reading(100));

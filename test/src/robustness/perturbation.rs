@@ -6,7 +6,7 @@ use rig_model::{
     CameraModel, ClimberSample, ImuSample, MarkerObservation, MarkerObservations, Stamp,
 };
 use rig_simulator::{random::Random, recording::Recording};
-use std::fmt;
+use std::{f64::consts::TAU, fmt};
 
 /// Beginning of a perturbation of limited duration, s after the first truth.
 pub const PERTURBED_FROM: f64 = 5.0;
@@ -60,6 +60,8 @@ pub enum Perturbation {
     ImageJitter(f64),
     /// All markers of an image are off together by this, px (1 sigma), by another number in each.
     CameraShake(f64),
+    /// The camera vibrates: all markers are off together by up to this (px) at this frequency, Hz.
+    CameraVibration(f64, f64),
     /// A second publisher repeats every IMU sample.
     ImuTwice,
     /// The IMU's samples arrive in bursts of this many, with the stamps of their arrival.
@@ -68,7 +70,7 @@ pub enum Perturbation {
     Exchanged(f64),
 }
 
-pub const TABLE: [Perturbation; 37] = {
+pub const TABLE: [Perturbation; 39] = {
     use Perturbation::*;
     [
         GyroScale(0.002),
@@ -105,6 +107,8 @@ pub const TABLE: [Perturbation; 37] = {
         CameraDelay(0.1),
         ImageJitter(0.005),
         CameraShake(0.3),
+        CameraVibration(0.3, 7.0),
+        CameraVibration(0.3, 3.0),
         ImuTwice,
         ImuBursts(5),
         Exchanged(0.5),
@@ -137,6 +141,7 @@ impl fmt::Display for Perturbation {
             Self::ImagesLost(t) => write!(f, "no images for {t} s"),
             Self::CameraDelay(t) => write!(f, "camera and encoder stamps {:+.0} ms", t * 1e3),
             Self::CameraShake(px) => write!(f, "camera shakes by {px} px"),
+            Self::CameraVibration(px, hz) => write!(f, "camera vibrates by {px} px at {hz} Hz"),
             Self::ImageJitter(t) => write!(f, "image stamps off by up to {:.0} ms", t * 1e3),
             Self::ImuTwice => write!(f, "every IMU sample twice"),
             Self::ImuBursts(n) => write!(f, "IMU stamped on arrival in bursts of {n}"),
@@ -272,6 +277,14 @@ impl Perturbation {
                 let mut random = Random::fork(1, "shake");
                 each_image(recording, |m| {
                     let off = Vector2::from_fn(|_, _| sigma * random.normal());
+                    m.markers.0.iter_mut().for_each(|marker| marker.centroid += off);
+                });
+            }
+            Self::CameraVibration(amplitude, frequency) => {
+                let start = recording.start();
+                each_image(recording, |m| {
+                    let phase = m.stamp.seconds_since(start) * frequency * TAU;
+                    let off = Vector2::new(phase.sin(), 0.6 * phase.cos()) * amplitude;
                     m.markers.0.iter_mut().for_each(|marker| marker.centroid += off);
                 });
             }

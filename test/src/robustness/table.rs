@@ -64,7 +64,9 @@ pub fn limits(perturbation: &Perturbation, recording: &Recording) -> Limits {
         // Each image is worth less, and the IMU goes on between them.
         ImageJitter(_) => Limits { after: Some(2.5), ..factor(2.0) },
         // 5 sigma of the markers.
-        CameraShake(_) => Limits { after: Some(4.0), nees: Some(6.0), ..factor(2.5) },
+        CameraShake(_) | CameraVibration(..) => {
+            Limits { after: Some(4.0), nees: Some(6.0), ..factor(2.5) }
+        }
         ImuTwice => factor(1.01),
         ImuBursts(_) => Limits { factor: Some(1.3), beyond: Some(BEYOND), ..Limits::default() },
         // An exchange that no fourth marker contradicts may move the pose, within its sigma.

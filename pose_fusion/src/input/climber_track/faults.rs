@@ -35,6 +35,12 @@ impl ClimberTrack {
         std::array::from_fn(|i| equal(i) && lasts(i))
     }
 
+    /// Returns for each axis whether it moves: it does not stand, and is not stuck.
+    pub fn moving(&self) -> [bool; 3] {
+        let standing = self.standing();
+        std::array::from_fn(|i| !standing[i] && self.stuck[i].is_none())
+    }
+
     /// Returns since when the readings of each axis have been equal.
     pub fn standing_since(&self) -> [Option<Stamp>; 3] {
         self.standing_since.map(|since| self.readings.back().map(|_| since))
