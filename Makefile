@@ -7,6 +7,7 @@
 # make faults      every fault on real processes; prints the table of test/FAULTS.md
 # make reproduce   the paper's figures and tables, and the report: OUT=folder
 # make broad       recordings with real IMU samples (BROAD=its folder data_mat): test/BROAD.md
+# make second-rig  the estimator on a second simulator (test/second_rig)
 # make robustness  recordings that differ from their rig file: test/ROBUSTNESS.md
 # make checks      recordings whose files are wrong, and what `volant check` names: test/CHECK.md
 # make loop        a crane in MuJoCo in a closed loop with the nodes: OUT=folder; make loop-test
@@ -27,7 +28,7 @@
 SHELL := /bin/bash
 .DEFAULT_GOAL := build
 .PHONY: setup build demo test long lint bench peers \
-  loop loop-test reproduce faults broad robustness checks pages book man \
+  loop loop-test reproduce faults broad robustness second-rig checks pages book man \
   fuzz audit kilted-test security calibrate calibrate-test browser clean-setup deb deb-test \
   deb-arm64 arm64-test tarball tarball-test bridge
 
@@ -112,6 +113,11 @@ robustness: build
 	  target/release/volant replay $$bag/in.mcap --rig $$bag/rig.yaml --out target/robustness/$$name.mcap --overwrite > /dev/null || exit 1; \
 	done
 	target/release/volant robustness --bags $(VOLANT_SHARED)/bags --markers target/robustness --pairs --table test/ROBUSTNESS.md --overwrite
+
+# The estimator on a second simulator, which shares no code with the first (test/second_rig).
+second-rig: build
+	@[ -d "$(VOLANT_SHARED)/bags" ] || { echo "make second-rig: set VOLANT_SHARED to the folder with bags/ in it"; exit 1; }
+	$(VENV)/bin/python test/second_rig $(if $(ONLY),--only "$(ONLY)")
 
 # The estimator on recordings with real IMU samples (test/broad): BROAD=…/data_mat of
 # https://github.com/dlaidig/broad.
