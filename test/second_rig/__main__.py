@@ -36,11 +36,12 @@ def main():
     parser.add_argument("--seeds", type=int, default=3, help="runs per case")
     parser.add_argument("--keep", type=Path, help="folder for the bags")
     options = parser.parse_args()
+    cases = [case for case in CASES if options.only in case[0]]
+    if not cases or options.seeds < 1:
+        parser.error(f"no run: --only one of {', '.join(repr(case[0]) for case in CASES)}")
     failed = False
     with tempfile.TemporaryDirectory() as scratch:
-        for name, arguments, largest, invalid in CASES:
-            if options.only not in name:
-                continue
+        for name, arguments, largest, invalid in cases:
             for seed in range(1, options.seeds + 1):
                 bag = (options.keep or Path(scratch)) / name.replace(" ", "_") / str(seed)
                 given = [*shlex.split(arguments), "--seed", str(seed)]

@@ -83,6 +83,8 @@ def replay(bag, out):
         "--threads",
         "1",
     ]
+    if not VOLANT.is_file():
+        raise SystemExit(f"{VOLANT} is missing: `make build` makes it")
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
         raise SystemExit(f"{' '.join(map(str, command))}: {done.stderr.strip()}")
