@@ -1,6 +1,6 @@
-//! Motion of the climber that its encoders do not report: whether the innovations of the last images
-//! point to where it would move the markers. Those of a camera that shakes, or of an error along an
-//! axis that moves, do not. Equations: `docs/src/equations.md`, "Encoders".
+//! Motion of the climber that its encoders do not report: whether the innovations of the last
+//! images point to where it would move the markers. Those of a camera that shakes, or of an error
+//! along an axis that moves, do not. Equations: `docs/src/equations.md`, "Encoders".
 
 use crate::health::rig_evidence::ImageEvidence;
 use nalgebra::Vector3;

@@ -23,7 +23,7 @@ const JERKED: f64 = 0.1;
 /// A climber moves where its estimated rate is this many sigma from zero.
 const MOVES: f64 = 5.0;
 
-/// Images may have contradicted the prediction for this time before an axis stopped that is stuck, s.
+/// Images contradict the prediction for at most this time before an axis stops that is stuck, s.
 const CALM: f64 = 0.2;
 /// Encoders are suspended that contradict although no reading has been used for this time, s.
 const UNUSED: f64 = 0.15;
