@@ -115,8 +115,7 @@ robustness: build
 	target/release/volant robustness --bags $(VOLANT_SHARED)/bags --markers target/robustness --pairs --table test/ROBUSTNESS.md --overwrite
 
 # The estimator on a second simulator, which shares no code with the first (test/second_rig).
-second-rig: build
-	@[ -d "$(VOLANT_SHARED)/bags" ] || { echo "make second-rig: set VOLANT_SHARED to the folder with bags/ in it"; exit 1; }
+second-rig: build .setup/python
 	$(VENV)/bin/python test/second_rig $(if $(ONLY),--only "$(ONLY)")
 
 # The estimator on recordings with real IMU samples (test/broad): BROAD=…/data_mat of

@@ -2,8 +2,8 @@
 
     python test/second_rig [--only NAME] [--seeds N] [--keep FOLDER]
 
-Each case is simulated and replayed with several seeds; a line says what became of it. Exit status 0
-when every run stays within its limits, 1 when one does not.
+Each case is simulated and replayed with several seeds; a line says what became of it. --keep writes
+new files only. Exit status 0 when every run stays within its limits, 1 when one does not.
 """
 
 import argparse

@@ -1,14 +1,14 @@
 """ROS 2 messages as dictionaries, and the bags that hold them (MCAP, CDR, as rosbag2 writes)."""
 
-import os
-
+import functools
+import subprocess
+import tempfile
 from pathlib import Path
 
 from mcap.reader import make_reader
 from mcap_ros2.writer import Writer
 
-# Bags whose message definitions are used.
-SCHEMAS = Path(os.environ.get("VOLANT_SHARED", "")) / "bags" / "real_slow"
+VOLANT = Path(__file__).resolve().parents[2] / "target" / "release" / "volant"
 START_NS = 1_760_001_000_000_000_000  # the bag's start; times `t` are seconds since then
 
 
@@ -37,21 +37,37 @@ def transform(t, parent, child, translation, rotation):
     }
 
 
+@functools.cache
+def definitions():
+    """Definition of each message type, from a bag that the command writes: nothing else of it."""
+    if not VOLANT.is_file():
+        raise SystemExit(f"{VOLANT} is missing: `make build` makes it")
+    with tempfile.TemporaryDirectory() as folder:
+        command = [VOLANT, "simulate", "--out", folder, "--seconds", "1"]
+        done = subprocess.run(command, capture_output=True, text=True)
+        if done.returncode:
+            raise SystemExit(f"{' '.join(map(str, command))}: {done.stderr.strip()}")
+        with open(next(Path(folder).glob("*/in.mcap")), "rb") as file:
+            schemas = make_reader(file).get_summary().schemas.values()
+    found = {schema.name: schema.data.decode() for schema in schemas}
+    transform_definition = found["geometry_msgs/msg/TransformStamped"]
+    found["tf2_msgs/msg/TFMessage"] = (
+        "geometry_msgs/TransformStamped[] transforms\n"
+        + "=" * 80
+        + "\nMSG: geometry_msgs/TransformStamped\n"
+        + transform_definition
+    )
+    return found
+
+
 def write_bag(path, messages):
     """Messages are (log time, topic, type, content), written in the order of their log times."""
-    if not SCHEMAS.is_dir():
-        raise SystemExit("set VOLANT_SHARED to the folder with bags/real_slow in it")
-    definitions = {}
-    for bag in ("in.mcap", "truth.mcap"):
-        with open(SCHEMAS / bag, "rb") as file:
-            for schema in make_reader(file).get_summary().schemas.values():
-                definitions[schema.name] = schema.data.decode()
-    with open(path, "wb") as file:
+    with open(path, "xb") as file:
         writer = Writer(file)
         schemas = {}
         for log_time, topic, kind, content in sorted(messages, key=lambda m: m[0]):
             if kind not in schemas:
-                schemas[kind] = writer.register_msgdef(kind, definitions[kind])
+                schemas[kind] = writer.register_msgdef(kind, definitions()[kind])
             writer.write_message(
                 topic, schemas[kind], content, nanoseconds(log_time), nanoseconds(log_time)
             )

@@ -514,6 +514,9 @@ def simulate(options, out):
         streams[4], options, rig, platform
     )
     out.mkdir(parents=True, exist_ok=True)
+    existing = [name for name in ("in.mcap", "truth.mcap", "rig.yaml") if (out / name).exists()]
+    if existing:
+        raise SystemExit(f"{out} has {existing[0]} already: choose another folder")
     write_bag(
         out / "in.mcap",
         [

@@ -12,8 +12,8 @@ const MEMORY: f64 = 30.0;
 const SURPRISING: f64 = 3.0;
 /// A variance above this many times what the images claim is a shake …
 const LARGE: f64 = 6.0;
-/// … where differences contradict by this share of their square the ones before (two thirds for
-/// white noise) …
+/// … where deviations contradict the ones before by this share of their square (6/13 for white
+/// noise) …
 const ALTERNATING: f64 = 0.2;
 /// … or, for vibrations that advance by 30 to 180° from image to image, where they contradict by
 /// this share those up to half of [`LAGS`] images before (a sine by three quarters at least), and
@@ -38,9 +38,9 @@ const WHITE: [f64; 2] = [4.0 / 3.0, 26.0 / 9.0];
 fn of_vibration(cosine: f64) -> f64 {
     let angle = cosine.acos();
     let usual = (1..=USUAL).map(|k| (k as f64 * angle).sin_cos());
-    let (sine, cosine_) = usual.fold((0.0, 0.0), |sum, (s, c)| (sum.0 + s, sum.1 + c));
+    let (sines, cosines) = usual.fold((0.0, 0.0), |sum, (s, c)| (sum.0 + s, sum.1 + c));
     let count = USUAL as f64;
-    (2.0 - 2.0 * cosine) * ((1.0 - cosine_ / count).powi(2) + (sine / count).powi(2))
+    (2.0 - 2.0 * cosine) * ((1.0 - cosines / count).powi(2) + (sines / count).powi(2))
 }
 
 /// Shake of the camera, by image axis.

@@ -199,9 +199,9 @@ impl Filter {
         at: Stamp,
     ) -> bool {
         let from = since.plus_seconds(self.encoder_offset());
-        // Without the IMU images do not tell the climber's motion from the platform's.
         // What images contradicted before is not the fault of an axis that stopped later.
         let calm = self.images.calm.is_some_and(|calm| since.seconds_since(calm) < CALM);
+        // Without the IMU images do not tell the climber's motion from the platform's.
         let suspected = calm && self.trust.may_suspect(from, at) && !self.is_without_imu();
         if suspected {
             self.climber.suspect_stuck(axes);

@@ -137,7 +137,7 @@ fn a_camera_that_shakes_costs_accuracy_and_not_the_pose() {
     }
 }
 
-/// The mount vibrates. Before, all but 9 Hz was motion of the climber beside encoders that stood.
+/// The mount vibrates. Before, vibrations slower than 0.28 of the image rate were not found.
 #[test]
 fn a_camera_mount_that_vibrates_costs_accuracy_and_not_the_pose() {
     for (seed, amplitude, frequency) in [
