@@ -21,7 +21,7 @@ const DISAGREES: f64 = 0.3;
 
 /// Encoders that seem to be stuck count as stuck once nothing has contradicted that for this time,
 /// s.
-const STUCK_CONFIRMED: f64 = 1.0;
+const STUCK_CONFIRMED: f64 = 0.7;
 
 /// Consistent readings in a row that restore trust.
 const CONSISTENT: u32 = 3;
@@ -83,6 +83,8 @@ pub struct EncoderEvidence {
 #[derive(Clone, Debug, Default)]
 pub struct EncoderTrust {
     suspended: Option<(Stamp, Cause)>,
+    /// Since when the encoders have seemed to be stuck.
+    stuck_since: Option<Stamp>,
     consistent: u32,
     consistent_since: Option<Stamp>,
     /// Newest reading minus estimate: x, y (m), turn (rad).
@@ -124,11 +126,11 @@ impl EncoderTrust {
     /// while it is not known which is wrong.
     pub fn disagreement(&self) -> Option<Vector3<f64>> {
         let (since, cause) = self.suspended?;
-        let lasts = self.newest?.seconds_since(since);
+        let lasts = |since: Stamp| self.newest.map_or(0.0, |newest| newest.seconds_since(since));
         let disagrees = match cause {
-            Cause::Stuck => lasts < STUCK_CONFIRMED,
+            Cause::Stuck => self.stuck_since.is_none_or(|since| lasts(since) < STUCK_CONFIRMED),
             Cause::Unstuck => true,
-            Cause::Contradiction | Cause::Leap => lasts > DISAGREES,
+            Cause::Contradiction | Cause::Leap => lasts(since) > DISAGREES,
         };
         disagrees.then_some(self.residual)
     }
@@ -148,8 +150,9 @@ impl EncoderTrust {
         let contradicts = at.seconds_since(*since);
         if seen.standing {
             self.returned = None;
-            if seen.moves && contradicts > DISAGREES {
+            if seen.moves && contradicts > DISAGREES && *cause != Cause::Stuck {
                 *cause = Cause::Stuck;
+                self.stuck_since = Some(at);
             }
         } else if *cause == Cause::Stuck {
             *cause = Cause::Unstuck;
@@ -254,6 +257,8 @@ mod tests {
         assert_eq!(trust.judge(at(2100), 1e6, &off, STRANGE, 3.0), Verdict::Exclude);
         assert_eq!(trust.disagreement(), Some(off));
         assert_eq!(trust.judge(at(2200), 1e6, &off, STUCK, 30.0), Verdict::Exclude);
+        assert_eq!(trust.disagreement(), Some(off), "not confirmed yet");
+        assert_eq!(trust.judge(at(3000), 1e6, &off, STUCK, 30.0), Verdict::Exclude);
         assert_eq!(trust.disagreement(), None);
         // A climber that stands is adopted, one that moves has stuck encoders.
         let mut stopped = EncoderTrust::default();
