@@ -60,6 +60,9 @@ impl Filter {
                  publisher?",
                 topics::CLIMBER_TRANSFORM
             )
+        } else if self.start.ambiguity.is_some() {
+            "three markers allow several poses: the fourth, or motion, will tell them apart"
+                .to_owned()
         } else {
             "no image with three markers that fit together".to_owned()
         }

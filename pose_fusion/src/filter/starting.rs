@@ -11,7 +11,11 @@ use crate::{
             ACCELEROMETER_BIAS, ATTITUDE, CLIMBER, CLIMBER_RATE, GYROSCOPE_BIAS, State, TIME_OFFSET,
         },
     },
-    initialization::{from_image, time_offset::TimeOffset},
+    initialization::{
+        ambiguity::Ambiguity,
+        from_image::{self, Known},
+        time_offset::TimeOffset,
+    },
     input::{
         climber_track::ClimberAt,
         imu::{SWING_TILT, Up},
@@ -26,7 +30,7 @@ use crate::{
         history::Event,
     },
 };
-use nalgebra::Vector3;
+use nalgebra::{UnitQuaternion, Vector3};
 use rig_model::Stamp;
 
 /// An encoder reading further from the image than this initializes nothing, s.
@@ -49,6 +53,8 @@ pub(super) const OFFSET_SIGMA: [f64; 2] = [1e-3, 1.5];
 pub(super) struct Start {
     /// Image to start from, while the IMU samples have not come so far.
     awaited: Option<(Stamp, Pixels)>,
+    /// Images that allow several poses.
+    pub(super) ambiguity: Option<Ambiguity>,
     /// Last state before an outage: its offset and biases serve the next start.
     pub(super) kept: Option<Box<State>>,
     /// Time of the kept state, where it may be resumed as a whole.
@@ -68,6 +74,9 @@ pub(super) struct Start {
     /// Markers detected in the newest image.
     pub(super) markers_seen: usize,
 }
+
+/// It is not clear yet which of several poses is the right one.
+struct Unclear;
 
 impl Filter {
     /// Drops the pose and keeps offset, biases and noise: the next image initializes the pose.
@@ -205,10 +214,18 @@ impl Filter {
         }
         let mut image = Image::new(pixels, time_offset, climber.rest);
         image.shake = self.images.shake.variance().map(|v| v as f32).into();
-        let up = up.or_else(|| self.imu.force_up_at(at, &self.history));
-        let ups = [self.imu.verticals.at(at), up];
+        let [own, estimated] = [self.imu.verticals.at(at), up];
+        let ups = [own, estimated.or_else(|| self.imu.force_up_at(at, &self.history))];
         let known = self.calibration();
-        let Some(start) = self.likeliest_start(at, &image, ups, &climber, &known) else {
+        // A former estimate tells the poses apart.
+        let clear = match estimated {
+            Some(_) => Ok(None),
+            None => self.clear_attitude(at, &image, own.or(ups[1]), &climber, &known),
+        };
+        let Ok(toward) = clear else {
+            return self.publisher.skip(stamp, pixels, Outcome::NotInitialized);
+        };
+        let Some(start) = self.likeliest_start(at, &image, ups, &climber, &known, toward) else {
             return self.publisher.skip(stamp, pixels, Outcome::Inconsistent);
         };
         self.publisher.record(stamp, &start.record, false);
@@ -221,6 +238,31 @@ impl Filter {
         self.set_state(at, state);
     }
 
+    /// Returns the attitude of the IMU (`world_from_imu`) to initialize the pose with, where three
+    /// markers allow several; `None`: the likeliest one. The error: it is not clear yet.
+    fn clear_attitude(
+        &mut self,
+        at: Stamp,
+        image: &Image,
+        up: Option<Up>,
+        climber: &ClimberAt,
+        calibration: &Calibration,
+    ) -> Result<Option<UnitQuaternion<f64>>, Unclear> {
+        let before = self.start.ambiguity.take();
+        let geometry = self.setup.geometry.as_ref().filter(|_| image.detected() == 3);
+        let Some(geometry) = geometry.filter(|_| !self.arrival.is_imu_absent()) else {
+            return Ok(None);
+        };
+        let config = &self.setup.config;
+        let known = Known { geometry, config, climber, calibration, toward: None };
+        let poses = from_image::attitudes(&known, image, up.as_ref());
+        let turn = |since: Stamp| self.history.turn(since, at);
+        Ambiguity::resolve(before, at, poses, turn).map_err(|open| {
+            self.start.ambiguity = Some(open);
+            Unclear
+        })
+    }
+
     /// Returns the initial state from an image. `ups` are the IMU's own attitude, and what else is
     /// known of "up". Where the markers reject the IMU's own attitude and agree better with the
     /// other, it is not used any more: on a platform that swings it may be off by far more than the
@@ -231,11 +273,12 @@ impl Filter {
         image: &Image,
         ups: [Option<Up>; 2],
         climber: &ClimberAt,
-        known: &Calibration,
+        calibration: &Calibration,
+        toward: Option<UnitQuaternion<f64>>,
     ) -> Option<from_image::InitialEstimate> {
         let (geometry, config) = (self.setup.geometry.as_ref()?, &self.setup.config);
-        let start =
-            |up: Option<&Up>| from_image::start(geometry, config, image, up, climber, known);
+        let known = Known { geometry, config, climber, calibration, toward };
+        let start = |up: Option<&Up>| from_image::start(&known, image, up);
         let [own, other] = ups;
         if let Some(found) = start(own.or(other).as_ref()) {
             return Some(found);
@@ -322,7 +365,8 @@ impl Filter {
             distance: 0.0,
             rest: image.rest,
         });
-        let Some(start) = self.likeliest_start(at, &image, ups, &climber, &old.calibration) else {
+        let Some(start) = self.likeliest_start(at, &image, ups, &climber, &old.calibration, None)
+        else {
             return false;
         };
         self.images.pixel_noise.raise(start.noise_factor, &PIXEL_NOISE);

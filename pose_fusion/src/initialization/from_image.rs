@@ -14,6 +14,7 @@ use crate::{
         },
         update,
     },
+    initialization::ambiguity::Candidate,
     input::{
         climber_track::{ClimberAt, DRIVE_ACCELERATION},
         imu::Up,
@@ -26,7 +27,7 @@ use crate::{
         markers::{self, Image, ImageInnovation, Pixels},
     },
 };
-use nalgebra::{Matrix2, Point3, Vector3};
+use nalgebra::{Isometry3, Matrix2, Point3, UnitQuaternion, Vector3};
 use rig_model::{
     PerColor,
     planar_pose::{self, PlanarPose, TiltPrior},
@@ -52,54 +53,102 @@ pub struct InitialEstimate {
     pub noise_factor: f64,
 }
 
-/// Returns the most likely initial state that the image allows, with the constants that are known;
-/// `None` where its markers fit no pose. Markers that fit one but for some millimeters count as
-/// noisier than they claim: more images find an error of their places ([`layout_misfit`]).
-pub fn start(
-    geometry: &Geometry,
-    config: &TightConfig,
-    image: &Image,
-    up: Option<&Up>,
-    climber: &ClimberAt,
-    calibration: &Calibration,
-) -> Option<InitialEstimate> {
-    let misfit = match attempt(geometry, config, image, up, climber, calibration) {
+/// What is known at an image that may initialize the pose.
+#[derive(Clone, Copy, Debug)]
+pub struct Known<'a> {
+    /// Rig and camera.
+    pub geometry: &'a Geometry,
+    /// Configuration of the filter.
+    pub config: &'a TightConfig,
+    /// Climber at the image.
+    pub climber: &'a ClimberAt,
+    /// Constants as a former pose knew them.
+    pub calibration: &'a Calibration,
+    /// Attitude of the IMU (`world_from_imu`) that is the nearest to the right one.
+    pub toward: Option<UnitQuaternion<f64>>,
+}
+
+/// Returns the most likely initial state that the image allows; `None` where its markers fit no
+/// pose. Markers that fit one but for some millimeters count as noisier than they claim: more
+/// images find an error of their places ([`layout_misfit`]).
+pub fn start(known: &Known, image: &Image, up: Option<&Up>) -> Option<InitialEstimate> {
+    let misfit = match attempt(known, image, up) {
         Ok(start) => return Some(start),
         Err(misfit) => misfit?,
     };
     // A marker that is further off is a false one.
     layout_misfit::sigma(&misfit.offsets)?;
     let noise_factor = misfit.noise_factor();
-    let image = image.with_noise(noise_factor);
-    let start = attempt(geometry, config, &image, up, climber, calibration).ok()?;
+    let start = attempt(known, &image.with_noise(noise_factor), up).ok()?;
     Some(InitialEstimate { noise_factor, ..start })
+}
+
+/// Poses that an image allows.
+struct Allowed {
+    /// The likeliest first.
+    poses: Vec<PlanarPose>,
+    world_from_camera: Isometry3<f64>,
+    /// Direction in the world that "up" measures.
+    up_in_world: Vector3<f64>,
+}
+
+impl Allowed {
+    /// Returns `None` where the image allows none.
+    fn new(known: &Known, image: &Image, up: Option<&Up>) -> Option<Self> {
+        let Known { geometry, config, climber, calibration, .. } = *known;
+        let world_from_climber = image.rest.join(&climber.values);
+        let world_from_camera = world_from_climber * geometry.climber_from_camera;
+        let solve =
+            |tilt: Option<&TiltPrior>| candidates(geometry, calibration, &image.pixels(), tilt);
+        // All candidates of an image are nearly at one place.
+        let seen = solve(None).first()?.camera_from_volant;
+        let place = (world_from_camera * seen).translation.vector;
+        let attachment = world_from_climber * Point3::from(config.pendulum.climber_attachment);
+        let up_in_world = up.map_or(Vector3::z(), |up| up.in_world(&(attachment.coords - place)));
+        let tilt = up.map(|up| TiltPrior {
+            up_in_volant: geometry.volant_from_imu.rotation * up.in_imu,
+            up_in_camera: world_from_camera.rotation.inverse() * up_in_world,
+            sigma: up.sigma,
+        });
+        Some(Self { poses: solve(tilt.as_ref()), world_from_camera, up_in_world })
+    }
+
+    fn world_from_imu(&self, pose: &PlanarPose, geometry: &Geometry) -> Isometry3<f64> {
+        self.world_from_camera * pose.camera_from_volant * geometry.volant_from_imu
+    }
+}
+
+/// Returns the attitudes that an image allows, the likeliest first.
+pub fn attitudes(known: &Known, image: &Image, up: Option<&Up>) -> Vec<Candidate> {
+    let Some(allowed) = Allowed::new(known, image, up) else { return Vec::new() };
+    let candidate = |pose: &PlanarPose| Candidate {
+        world_from_imu: allowed.world_from_imu(pose, known.geometry).rotation,
+        variance: pose.covariance.fixed_view::<3, 3>(3, 3).trace(),
+        pixel_cost: pose.pixel_cost,
+        cost: pose.cost,
+    };
+    allowed.poses.iter().map(candidate).collect()
 }
 
 /// Returns the start from the image, or by how much its markers do not fit together.
 fn attempt(
-    geometry: &Geometry,
-    config: &TightConfig,
+    known: &Known,
     image: &Image,
     up: Option<&Up>,
-    climber: &ClimberAt,
-    calibration: &Calibration,
 ) -> Result<InitialEstimate, Option<Box<Misfit>>> {
-    let world_from_climber = image.rest.join(&climber.values);
-    let world_from_camera = world_from_climber * geometry.climber_from_camera;
-    let solve = |tilt: Option<&TiltPrior>| candidates(geometry, calibration, &image.pixels(), tilt);
-    // All candidates of an image are nearly at one place.
-    let seen = solve(None).first().ok_or(None)?.camera_from_volant;
-    let place = (world_from_camera * seen).translation.vector;
-    let attachment = world_from_climber * Point3::from(config.pendulum.climber_attachment);
-    let in_world = up.map_or(Vector3::z(), |up| up.in_world(&(attachment.coords - place)));
-    let tilt = up.map(|up| TiltPrior {
-        up_in_volant: geometry.volant_from_imu.rotation * up.in_imu,
-        up_in_camera: world_from_camera.rotation.inverse() * in_world,
-        sigma: up.sigma,
-    });
-    let found = solve(tilt.as_ref());
-    let best = found.first().ok_or(None)?;
-    let world_from_imu = world_from_camera * best.camera_from_volant * geometry.volant_from_imu;
+    let Known { geometry, config, climber, calibration, .. } = *known;
+    let allowed = Allowed::new(known, image, up).ok_or(None)?;
+    let best = match known.toward {
+        Some(toward) => allowed.poses.iter().min_by(|a, b| {
+            let off = |pose: &PlanarPose| {
+                allowed.world_from_imu(pose, geometry).rotation.angle_to(&toward)
+            };
+            off(a).total_cmp(&off(b))
+        }),
+        None => allowed.poses.first(),
+    };
+    let best = best.ok_or(None)?;
+    let world_from_imu = allowed.world_from_imu(best, geometry);
     let (position, attitude) = (world_from_imu.translation.vector, world_from_imu.rotation);
     let mut state = unknown(config, climber);
     state.position = position;
@@ -127,7 +176,7 @@ fn attempt(
                 0 => [(ATTITUDE + 1, v.z), (ATTITUDE + 2, -v.y)],
                 _ => [(ATTITUDE, -v.z), (ATTITUDE + 2, v.x)],
             };
-            update::scalar(&mut state, &h, in_world[axis] - v[axis], variance, &none);
+            update::scalar(&mut state, &h, allowed.up_in_world[axis] - v[axis], variance, &none);
         }
         // Prior and image together have their minimum at the candidate.
         (state.position, state.attitude) = (position, attitude);

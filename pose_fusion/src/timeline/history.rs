@@ -10,7 +10,7 @@ use crate::{
     },
     measurements::{encoders::EncoderReading, markers::Image},
 };
-use nalgebra::Vector3;
+use nalgebra::{UnitQuaternion, Vector3};
 use rig_model::Stamp;
 use std::collections::VecDeque;
 
@@ -210,6 +210,22 @@ impl History {
     /// Returns the next IMU sample at or behind a place.
     pub fn next_imu(&self, place: usize) -> Option<&Entry> {
         self.imu_from(place).next()
+    }
+
+    /// Returns by how much the IMU has turned between two instants (`from_to`), by its samples.
+    pub fn turn(&self, from: Stamp, to: Stamp) -> UnitQuaternion<f64> {
+        let mut turned = UnitQuaternion::identity();
+        let mut last = from;
+        for entry in self.imu_from(self.place_of(from)) {
+            let until = entry.stamp.min(to);
+            let step = entry.reading.angular_velocity * until.seconds_since(last);
+            turned *= UnitQuaternion::from_scaled_axis(step);
+            last = until;
+            if entry.stamp >= to {
+                break;
+            }
+        }
+        turned
     }
 
     /// Returns the motion at an entry as the triangular mean of the readings before and after it,
