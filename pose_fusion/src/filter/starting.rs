@@ -65,6 +65,8 @@ pub(super) struct Start {
     /// Image since which the filter's time offset has not moved further than it corrects linearly,
     /// and that offset, s.
     pub(super) settled: (Stamp, f64),
+    /// Newest image at which the filter did not know its time offset.
+    pub(super) unknown: Stamp,
     /// The time offset was known before, and is searched because images contradict it.
     pub(super) searches_again: bool,
     /// Uncertainty of the time offset while it is searched, s, once there is an alignment.
@@ -309,6 +311,7 @@ impl Filter {
         let image = at.plus_seconds(-state.time_offset);
         self.start.initial_offset = state.time_offset;
         self.start.settled = (image, state.time_offset);
+        self.start.unknown = image;
         let place = self.history.place_of(at);
         let before = place.checked_sub(1).and_then(|p| self.history.get(p));
         let reading = match (before, self.history.next_imu(place)) {

@@ -8,7 +8,7 @@ use crate::{
     health::encoder_trust::Cause,
     initialization::{
         from_image,
-        time_offset::{ACCEPTED, FINAL, TimeOffset, WINDOW},
+        time_offset::{ACCEPTED, FINAL, TimeOffset, TimeOffsetSearch, WINDOW},
     },
     input::imu::given,
     measurements::{marker_prediction::linearize, markers::Pixels},
@@ -30,6 +30,8 @@ const AGREES: f64 = 3.0;
 const GROSS: f64 = 4.0;
 /// A filter that knows its time offset to this, s, and agrees with an alignment, needs no other.
 const KNOWN: f64 = 0.003;
+/// A filter that has stayed near one offset for this time knows it, s.
+const SETTLED: f64 = 2.5;
 /// Uncertainty added to the offset where images contradict, s, for a change without a restart.
 const REOPENED: f64 = 0.005;
 /// Tilt by which aligned image poses may miss "up", rad: a swing within the unknown offset.
@@ -61,7 +63,11 @@ impl Filter {
         if (offset - self.start.settled.1).abs() > OFFSET_LINEAR {
             self.start.settled = (stamp, offset);
         }
+        if self.time_offset_sigma().is_none_or(|sigma| sigma >= KNOWN) {
+            self.start.unknown = stamp;
+        }
         let found = search.find(
+            offset - middle,
             &geometry.volant_from_imu,
             c.gravity,
             &c.imu,
@@ -88,6 +94,10 @@ impl Filter {
                 self.start.offset_doubt = Some(found.sigma);
                 self.search = Some(search);
             }
+            None if self.has_settled(stamp, &search) => {
+                self.start.offset_doubt = None;
+                self.reopen_time_offset(REOPENED * REOPENED);
+            }
             _ => self.search = Some(search),
         }
         self.start.searches_again &= self.search.is_some();
@@ -105,13 +115,26 @@ impl Filter {
             self.search = super::search(&self.setup.config);
             self.start.offset_doubt = Some(0.0);
             self.start.searches_again = true;
-            for place in 0..self.history.len() {
-                if let Some(entry) = self.history.get_mut(place) {
-                    entry.state.forget_time_offset_error();
-                    entry.state.covariance[(TIME_OFFSET, TIME_OFFSET)] += reopened;
-                }
+            self.reopen_time_offset(reopened);
+        }
+    }
+
+    /// Adds to the variance of the estimated time offset, s².
+    fn reopen_time_offset(&mut self, variance: f64) {
+        for place in 0..self.history.len() {
+            if let Some(entry) = self.history.get_mut(place) {
+                entry.state.forget_time_offset_error();
+                entry.state.covariance[(TIME_OFFSET, TIME_OFFSET)] += variance;
             }
         }
+    }
+
+    /// Whether the filter knows its offset although no alignment does: motion has determined it, and
+    /// for a while it has stayed near one offset, which no alignment refutes.
+    fn has_settled(&self, stamp: Stamp, search: &TimeOffsetSearch) -> bool {
+        !self.start.searches_again
+            && stamp.seconds_since(self.start.settled.0.max(self.start.unknown)) > SETTLED
+            && search.agrees_for(stamp) > SETTLED
     }
 
     /// Whether an alignment since the initialization agrees with a filter that knows its offset.

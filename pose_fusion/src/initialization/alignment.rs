@@ -33,6 +33,9 @@ const APART: f64 = 0.02;
 const REFUTED: f64 = 16.0;
 /// Largest χ² per degree of freedom of an alignment that means anything.
 pub(super) const LARGEST: f64 = 1.2;
+/// χ² per degree of freedom of an alignment that refutes its model: tilts of single images far away
+/// are not normally distributed, and leave up to 2.6.
+const BAD: f64 = 4.0;
 /// Smallest χ² per degree of freedom that is accepted: the poses' own covariances are cautious.
 const SMALLEST: f64 = 0.6;
 /// Uncertainty of the initial velocity, m/s, and attitude, rad.
@@ -86,6 +89,15 @@ pub(super) struct Aligned {
     pub(super) scale: f64,
     /// χ² of each candidate above the best, normalized; NaN where the readings do not reach.
     pub(super) costs: [f64; CANDIDATES],
+}
+
+impl Aligned {
+    /// Returns whether an offset, s, fits badly: by itself, or worse than the best.
+    pub(super) fn refutes(&self, offset: f64) -> bool {
+        let index = ((offset + REACH) / STEP).round();
+        let cost = self.costs.get(index as usize).copied().unwrap_or(f64::INFINITY);
+        self.scale > BAD || cost > REFUTED
+    }
 }
 
 /// `volant_from_imu`, gravity (m/s²), errors of the IMU and its noise.

@@ -34,6 +34,8 @@ pub struct TimeOffsetSearch {
     readings: VecDeque<(Stamp, ImuReading)>,
     added: usize,
     windows: Windows,
+    /// Newest image of the first of the last alignments that do not refute the estimated offset.
+    agrees_since: Option<Stamp>,
 }
 
 impl TimeOffsetSearch {
@@ -93,12 +95,19 @@ impl TimeOffsetSearch {
         *self = Self::default();
     }
 
+    /// Returns for how long before `stamp` no alignment has refuted the estimated offset, s.
+    pub fn agrees_for(&self, stamp: Stamp) -> f64 {
+        self.agrees_since.map_or(0.0, |since| stamp.seconds_since(since))
+    }
+
     /// Returns the offset once its standard deviation is below 10 ms ([`ACCEPTED`]), or below 30 ms
     /// where the image poses span a whole [`WINDOW`]: the caller uses such a rough offset only
     /// where it is far from the estimated one. Aligns after every third image only. `gravity` is in
-    /// m/s²; `noise` are the IMU's densities, `given` those of the rig file.
+    /// m/s²; `noise` are the IMU's densities, `given` those of the rig file. `estimated` is the
+    /// offset that the filter estimates, s.
     pub fn find(
         &mut self,
+        estimated: f64,
         volant_from_imu: &Isometry3<f64>,
         gravity: f64,
         imu: &ImuConfig,
@@ -121,6 +130,11 @@ impl TimeOffsetSearch {
         // The second time with the biases of the first: they turn by several degrees.
         let first = align(recent, &self.readings, settings, &ImuReading::default())?;
         let aligned = align(recent, &self.readings, settings, &first.biases)?;
+        if aligned.refutes(estimated) {
+            self.agrees_since = None;
+        } else {
+            self.agrees_since.get_or_insert(newest);
+        }
         // A window in which every image counts for every candidate.
         let covered = &poses[..poses.partition_point(|pose| age(pose) >= REACH)];
         if self.windows.is_due(newest)
