@@ -20,6 +20,13 @@ CASES = (
     ("clean", "", 12, 0.001),
     ("clean, 60 Hz", "--camera-rate 60", 12, 0.001),
     ("clean, 10 Hz, rope of 3 m", "--camera-rate 10 --rope 3 --duration 20", 60, 0.05),
+    ("rope of 3 m, 0.3 px", "--rope 3 --pixel-noise 0.3", 60, 0.01),
+    (
+        "three markers at the start, swing of 9 deg",
+        "--hidden-start 1.4 --start-swing 9 --camera-rate 25 --duration 8",
+        80,
+        0.02,
+    ),
     ("camera shakes 0.03 deg, 3 Hz", "--shake-deg 0.03 --shake-hz 3", 40, 0.01),
     ("camera shakes 0.03 deg, 7 Hz", "--shake-deg 0.03 --shake-hz 7", 15, 0.01),
     ("60 Hz, shakes 0.02 deg, 12 Hz", "--camera-rate 60 --shake-deg 0.02 --shake-hz 12", 15, 0.01),
