@@ -34,7 +34,7 @@ pub struct TimeOffsetSearch {
     readings: VecDeque<(Stamp, ImuReading)>,
     added: usize,
     windows: Windows,
-    /// Newest image of the first of the last alignments that do not refute the estimated offset.
+    /// Since when all alignments have not refuted the estimated offset.
     agrees_since: Option<Stamp>,
 }
 
@@ -60,6 +60,9 @@ impl TimeOffsetSearch {
         }
         while self.poses.front().is_some_and(|p| stamp.seconds_since(p.stamp) > WINDOW + REACH) {
             self.poses.pop_front();
+        }
+        if self.poses.is_empty() {
+            self.agrees_since = None;
         }
         self.poses.push_back(VisualPose {
             stamp,
