@@ -281,7 +281,7 @@ impl Filter {
         }
         let mut image = Image::new(&pixels, time_offset, rest);
         image.stamp_sigma = stamp_sigma as f32;
-        image.shake = self.images.shake.variance().map(|v| v as f32).into();
+        image.shake = self.shake_variance().map(|v| v as f32).into();
         image.layout_doubt = layout_doubt.map(|sigma| sigma as f32);
         let event = Event::Image { image, stamp, fresh: true, apply: !self.setup.frozen };
         self.history.insert(at, event, ImuReading::default());

@@ -26,7 +26,7 @@ use crate::{
         repropagation::{self, Context, Step},
     },
 };
-use nalgebra::Vector3;
+use nalgebra::{Vector2, Vector3};
 use rig_model::Stamp;
 
 /// NIS of four markers (8 degrees of freedom) above which the platform was struck: where all passed
@@ -121,6 +121,14 @@ impl Filter {
     /// missing, s.
     fn encoders_missing_for(&self, at: Stamp) -> Option<f64> {
         self.climber.missing_for(at.plus_seconds(-self.encoder_offset()))
+    }
+
+    /// Returns the variance of the error that the markers of an image share, x and y of the image,
+    /// px²: the shake that is found, and the declared tilt of the camera.
+    pub(super) fn shake_variance(&self) -> Vector2<f64> {
+        let focal = self.setup.geometry.as_ref().map(|g| g.camera.focal_lengths());
+        let tilt = focal.unwrap_or_default() * self.setup.config.markers.camera_tilt;
+        self.images.shake.variance().sup(&tilt.component_mul(&tilt))
     }
 
     /// Process noise apart from the IMU's, which comes with each sample.

@@ -92,7 +92,7 @@ impl Filter {
         self.imu.interrupt();
         self.trust.reset();
         self.monitor.clear();
-        self.start.awaited = None;
+        (self.start.awaited, self.start.ambiguity) = (None, None);
     }
 
     /// While the IMU is silent images move the end of the time line.
@@ -215,7 +215,7 @@ impl Filter {
             return self.publisher.skip(stamp, pixels, Outcome::NotInitialized);
         }
         let mut image = Image::new(pixels, time_offset, climber.rest);
-        image.shake = self.images.shake.variance().map(|v| v as f32).into();
+        image.shake = self.shake_variance().map(|v| v as f32).into();
         let [own, estimated] = [self.imu.verticals.at(at), up];
         let ups = [own, estimated.or_else(|| self.imu.force_up_at(at, &self.history))];
         let known = self.calibration();

@@ -191,7 +191,7 @@ impl Filter {
         to_world.fixed_view_mut::<3, 3>(3, 3).copy_from(turn.matrix());
         let mut covariance = best.covariance;
         let distance = best.camera_from_volant.translation.z / geometry.camera.focal_lengths().x;
-        for (axis, variance) in self.images.shake.variance().iter().enumerate() {
+        for (axis, variance) in self.shake_variance().iter().enumerate() {
             covariance[(axis, axis)] += variance * distance * distance;
         }
         // Markers that contradict each other are noisier than they claim.

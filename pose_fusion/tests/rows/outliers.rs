@@ -3,7 +3,7 @@
 use super::*;
 use nalgebra::Vector2;
 use rig_model::{MarkerObservation, PerColor};
-use std::collections::HashMap;
+use std::{collections::HashMap, f64::consts::TAU};
 
 #[test]
 fn false_markers_are_rejected_with_a_reason() {
@@ -150,9 +150,34 @@ fn a_camera_mount_that_vibrates_costs_accuracy_and_not_the_pose() {
         (4, 0.6, 4.0),
     ] {
         shaken(seed, 0.9, |t| {
-            let angle = std::f64::consts::TAU * frequency * t;
+            let angle = TAU * frequency * t;
             Vector2::new(angle.sin(), angle.cos()) * amplitude
         });
+    }
+}
+
+/// The carriage rocks by 0.1° for half a second, every three seconds: too slow for a vibration.
+#[test]
+fn a_carriage_that_rocks_is_covered_with_the_declared_tilt_of_the_camera() {
+    let rocks = |seed: u64, declared: f64| {
+        let mut config = simulated::config();
+        config.tight.markers.camera_tilt = declared;
+        with_inputs_and(seed, config, 4.0, |t, input| {
+            let (angle, since) = (TAU * 1.6 * t, t % 3.0);
+            if let (Input::Markers(image), true) = (input, since < 0.5) {
+                let size = (TAU * since).sin();
+                for marker in &mut image.markers.0 {
+                    marker.centroid += Vector2::new(angle.sin(), angle.cos()) * size;
+                }
+            }
+        })
+    };
+    for seed in [1, 2, 3, 4] {
+        let (known, unknown) = (rocks(seed, 0.0035), rocks(seed, 0.0));
+        let about = format!("seed {seed}: {} (undeclared {})", known.score, unknown.score);
+        assert!(known.score.nees().0 < 4.0 && known.score.nees().1 < 4.0, "{about}");
+        assert!(unknown.score.nees().0 > 6.0, "{about}");
+        assert!(known.outputs.status.iter().skip(100).all(|s| s.valid), "{about}");
     }
 }
 
