@@ -146,8 +146,8 @@ parameters! {
         // 16: 0.9997 quantile of χ².
         /// Largest normalized innovation squared (2 degrees of freedom) of a marker that is used.
         gate: f64 = 16.0, range(1.0..=1000.0), name("markers.gate");
-        /// Standard deviation of the camera's attitude against the climber's frame while it drives: a
-        /// carriage that rocks, a camera that vibrates. All markers of an image share its error.
+        /// Standard deviation of the camera's attitude against the climber's frame while it drives:
+        /// a carriage that rocks, a camera that vibrates. All markers of an image share its error.
         /// Vibrations of a twelfth to half of the image rate are found without it.
         camera_tilt: f64 = 0.0, unit("rad"), range(0.0..=0.1), name("markers.camera_tilt_sigma");
         /// Consecutive rejected but self-consistent images before the state is re-propagated with

@@ -61,8 +61,8 @@ impl ImuIntegrity {
         }
     }
 
-    /// Returns the densities of the IMU's nonlinearity, which grows with rate and specific force, in
-    /// the step of `dt` seconds to this reading.
+    /// Returns the densities of the IMU's nonlinearity, which grows with rate and specific force,
+    /// in the step of `dt` seconds to this reading.
     pub fn nonlinearity(&mut self, reading: &ImuReading, dt: f64) -> Densities {
         let mean = *self.mean_force.get_or_insert(reading.specific_force);
         let share = (dt / MEAN_FORCE).clamp(0.0, 1.0);

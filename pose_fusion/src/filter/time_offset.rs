@@ -129,12 +129,12 @@ impl Filter {
         }
     }
 
-    /// Whether the filter knows its offset although no alignment does: motion has determined it, and
-    /// for a while it has stayed near one offset, which no alignment refutes.
+    /// Whether the filter knows its offset although no alignment does: motion has determined it,
+    /// and for a while it has stayed near one offset, which no alignment refutes.
     fn has_settled(&self, stamp: Stamp, search: &TimeOffsetSearch) -> bool {
         !self.start.searches_again
             && stamp.seconds_since(self.start.settled.0.max(self.start.unknown)) > SETTLED
-            && search.agrees_for(stamp) > SETTLED
+            && search.agrees_for() > SETTLED
     }
 
     /// Whether an alignment since the initialization agrees with a filter that knows its offset.

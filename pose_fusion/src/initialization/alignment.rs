@@ -33,8 +33,8 @@ const APART: f64 = 0.02;
 const REFUTED: f64 = 16.0;
 /// Largest χ² per degree of freedom of an alignment that means anything.
 pub(super) const LARGEST: f64 = 1.2;
-/// χ² per degree of freedom of an alignment that refutes its model: tilts of single images far away
-/// are not normally distributed, and leave up to 2.6.
+/// χ² per degree of freedom of an alignment that refutes its model: tilts of single images far
+/// away are not normally distributed, and leave up to 2.6.
 const BAD: f64 = 4.0;
 /// Smallest χ² per degree of freedom that is accepted: the poses' own covariances are cautious.
 const SMALLEST: f64 = 0.6;

@@ -20,8 +20,9 @@ pub struct Candidate {
     pub world_from_imu: UnitQuaternion<f64>,
     /// Variance of its angle, rad².
     pub variance: f64,
-    /// How badly it fits the pixels, and these and "up" (χ²).
+    /// Squared residuals of the pixels in units of their variance.
     pub pixel_cost: f64,
+    /// The same of pixels and "up" together.
     pub cost: f64,
 }
 
@@ -37,8 +38,8 @@ pub struct Ambiguity {
 }
 
 impl Ambiguity {
-    /// Compares the poses that an image at an instant allows, the likeliest first, with those of the
-    /// images before; `turn_since` returns by how much the IMU has turned since an instant
+    /// Compares the poses that an image at an instant allows, the likeliest first, with those of
+    /// the images before; `turn_since` returns by how much the IMU has turned since an instant
     /// (`then_from_now`). Returns the attitude of the right one, `world_from_imu`, or what is left
     /// to compare the next image with.
     pub fn resolve(

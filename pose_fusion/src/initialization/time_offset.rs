@@ -98,9 +98,11 @@ impl TimeOffsetSearch {
         *self = Self::default();
     }
 
-    /// Returns for how long before `stamp` no alignment has refuted the estimated offset, s.
-    pub fn agrees_for(&self, stamp: Stamp) -> f64 {
-        self.agrees_since.map_or(0.0, |since| stamp.seconds_since(since))
+    /// Returns for how long before the newest image no alignment has refuted the estimated
+    /// offset, s.
+    pub fn agrees_for(&self) -> f64 {
+        let newest = self.poses.back().map(|pose| pose.stamp);
+        newest.zip(self.agrees_since).map_or(0.0, |(newest, since)| newest.seconds_since(since))
     }
 
     /// Returns the offset once its standard deviation is below 10 ms ([`ACCEPTED`]), or below 30 ms

@@ -53,8 +53,8 @@ fn offsets_up_to_300_ms_are_estimated_to_a_millisecond() {
     }
 }
 
-/// Tilts of single images from 4 m away are too uncertain to align. The filter determines its offset
-/// by itself; before, the claimed sigma stayed at 20 to 60 mm.
+/// Tilts of single images from 4 m away are too uncertain to align. The filter determines its
+/// offset by itself; before, the claimed sigma stayed at 20 to 60 mm.
 #[test]
 fn the_offset_is_known_on_a_long_rope_with_noisy_pixels() {
     for ahead in [0.0, 0.02, -0.05] {
