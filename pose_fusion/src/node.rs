@@ -5,7 +5,7 @@ mod diagnostics;
 mod rejections;
 
 use crate::{
-    Fusion, Input, Model, Output, PoseStatus, RigCheck, Warning,
+    Fusion, Input, Model, Output, PoseState, PoseStatus, RigCheck, Warning,
     health::pose_status::STATUS_PERIOD,
     messages,
     parameters::FusionParameters,
@@ -356,7 +356,8 @@ impl FusionNode {
                 publishers.pose.publish(messages::pose(&o, frames));
             }
             // Without a pose the timer publishes the status.
-            Output::Status(s) if s.state == crate::PoseState::Initializing => {}
+            Output::Status(s)
+                if s.state == PoseState::Initializing && s.image_age.is_infinite() => {}
             Output::Status(s) => {
                 self.quiet = 0;
                 publishers.status.publish(messages::status(&s, frames));

@@ -8,7 +8,7 @@ use crate::{
     },
     health::{
         pose_status::{
-            CONTRADICTED_REASON, NO_IMU_SAMPLE, PoseState, PoseStatus, StatusTimer,
+            CONTRADICTED_REASON, NEW_REASON, NO_IMU_SAMPLE, PoseState, PoseStatus, StatusTimer,
             UNCONFIRMED_REASON,
         },
         status::Counts,
@@ -42,8 +42,8 @@ const REPEATS: f64 = 1.0;
 /// Without a pose for longer than this a status alone is published, s.
 const SILENT: f64 = 0.3;
 
-/// A pose is not reported as lost while its second image is expected, s.
-const SECOND_IMAGE: f64 = 1.0;
+/// A pose that images have not confirmed is lost where none is used for this time, s.
+const NEXT_IMAGE: f64 = 1.0;
 
 /// Outages of the pose and of the IMU.
 #[derive(Clone, Debug, Default)]
@@ -191,7 +191,7 @@ impl Filter {
             markers_used: self.publisher.markers_used,
             ..PoseStatus::lost(end, self.ages(end), state.time_offset, String::new())
         }
-        .judged(&self.setup.status, without_imu, self.contradicted(end, state).as_deref());
+        .judged(&self.setup.status, without_imu, self.unusable(end, state));
         let horizon = self.setup.config.prediction_horizon;
         let earlier = end.plus_seconds(-horizon);
         let earlier = (self.history.place_of(earlier).checked_sub(1))
@@ -222,34 +222,42 @@ impl Filter {
         self.publisher.silence.imu_lost &= silent;
         self.publisher.silence.resumed = None;
         let lost = status.state == PoseState::Lost;
-        // Between the first image and the second the velocity is not known yet.
-        let second_due = self.monitor.last_used == self.monitor.initialized_at
-            && status.image_age < SECOND_IMAGE;
-        if lost && !second_due && !self.publisher.silence.pose_lost {
+        if lost && !self.publisher.silence.pose_lost {
             let reason = status.reason.clone();
             self.publisher.warn(Warning::PoseLost { stamp: end, reason });
         }
-        self.publisher.silence.pose_lost = lost && !second_due;
+        self.publisher.silence.pose_lost = lost;
         self.publisher.out.push_back(Output::Odometry(limited));
         self.publisher.out.push_back(Output::Status(status));
         self.publisher.out.extend(predicted.map(Output::Predicted));
         self.publisher.out.extend(swing.map(Output::Swing));
     }
 
-    /// Returns why the pose at an instant must not be used, where the inputs contradict each other.
-    fn contradicted(&self, at: Stamp, state: &State) -> Option<Cow<'static, str>> {
+    /// Returns why the pose at an instant must not be used whatever its sigmas, and its state: the
+    /// inputs contradict each other, or it is new.
+    fn unusable(&self, at: Stamp, state: &State) -> Option<(PoseState, Cow<'static, str>)> {
         let camera = at.plus_seconds(-state.time_offset);
+        let [image_age, ..] = self.ages(at);
+        let lost = |reason: Cow<'static, str>| Some((PoseState::Lost, reason));
         if let Some(wrong) = self.trust.directions.wrong() {
             let stamps = self.evidence.wrong[CLIMBER_OFFSET] != 0.0;
             let or = if stamps { ", or their stamps are wrong" } else { "" };
-            return Some(format!("images and IMU contradict the encoders: {wrong}{or}").into());
+            return lost(format!("images and IMU contradict the encoders: {wrong}{or}").into());
         }
         if self.monitor.is_contradicted(camera) {
-            return Some(CONTRADICTED_REASON.into());
+            return lost(CONTRADICTED_REASON.into());
         }
-        let [image_age, ..] = self.ages(at);
-        (image_age > self.setup.status.max_image_age && self.monitor.is_unconfirmed())
-            .then_some(UNCONFIRMED_REASON.into())
+        if self.monitor.is_new() {
+            let due = image_age < NEXT_IMAGE;
+            let state = if due { PoseState::Initializing } else { PoseState::Lost };
+            return Some((state, NEW_REASON.into()));
+        }
+        let coasting = image_age > self.setup.status.max_image_age;
+        if coasting && self.monitor.is_unconfirmed() {
+            lost(UNCONFIRMED_REASON.into())
+        } else {
+            None
+        }
     }
 
     /// Returns the outputs that wait to be taken.

@@ -32,6 +32,9 @@ const REPLACED: f64 = 1.0;
 /// Images must have confirmed a pose for this long after a response before it may be used without
 /// images, s: velocity, tilt and biases are what the response changed, and drift from there.
 const CONFIRMED: f64 = 0.5;
+/// Images must have agreed for this long with a pose that one of them initialized before it may be
+/// used, s: before, its velocity is unknown.
+const HELD: f64 = 0.2;
 
 /// Response of the filter to an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,6 +53,8 @@ pub enum Response {
 pub struct ContradictionMonitor {
     contradictions: u32,
     since: Option<Stamp>,
+    /// Contradicting images since the last one that did not.
+    opposing: u32,
     /// Markers of the newest image that were rejected.
     rejected: [bool; 4],
     /// Last image used before a shock, where the newest image shows one.
@@ -114,9 +119,11 @@ impl ContradictionMonitor {
                 self.last_used = Some(self.last_used.map_or(image, |last| last.max(image)));
                 self.contradictions = 0;
                 self.since = None;
+                self.opposing = 0;
             }
             return Response::None;
         }
+        self.opposing += 1;
         let since = *self.since.get_or_insert(image);
         self.contradictions += u32::from(!excused);
         let starved =
@@ -170,12 +177,18 @@ impl ContradictionMonitor {
             if last.seconds_since(first) < CONTRADICTED && now.seconds_since(last) < CONTRADICTED)
     }
 
-    /// Returns whether the newest images were used so shortly after the filter responded to a
-    /// contradiction that they have not confirmed the pose.
+    /// Returns whether images have not agreed for long enough with the pose that one initialized.
+    pub fn is_new(&self) -> bool {
+        let held = self.initialized_at.zip(self.last_used).map(|(at, used)| used.seconds_since(at));
+        held.is_none_or(|held| held < HELD)
+    }
+
+    /// Returns whether the newest images contradict, or were used so shortly after the filter
+    /// responded to a contradiction that they have not confirmed the pose.
     pub fn is_unconfirmed(&self) -> bool {
         let [.., response] = self.responses;
         let lasted = response.zip(self.last_used).map(|(at, used)| used.seconds_since(at));
-        lasted.is_some_and(|lasted| lasted.abs() < CONFIRMED)
+        self.opposing > 1 || lasted.is_some_and(|lasted| lasted.abs() < CONFIRMED)
     }
 }
 
@@ -241,6 +254,26 @@ mod tests {
         let images: [&[usize]; 6] = [&[], &[0], &[0], &[0, 2], &[], &[0]];
         let new = images.map(|rejected| monitor.rejects(image(rejected)));
         assert_eq!(new, [false, true, false, true, false, true]);
+    }
+
+    #[test]
+    fn a_pose_is_new_until_images_have_agreed_with_it_and_unconfirmed_while_they_contradict() {
+        let mut monitor = initialized();
+        // Stamp (ms), used markers, whether the pose is new, and whether it is unconfirmed.
+        for (ms, used, new, unconfirmed) in [
+            (100, 4, true, false),
+            (150, 1, true, false),
+            (199, 4, true, false),
+            (210, 3, false, false),
+            (240, 2, false, false),
+            (270, 1, false, true),
+            (300, 3, false, false),
+        ] {
+            monitor.note(at(ms), 4, used, 9, true);
+            assert_eq!((monitor.is_new(), monitor.is_unconfirmed()), (new, unconfirmed), "{ms} ms");
+        }
+        monitor.initialized(at(330));
+        assert!(monitor.is_new());
     }
 
     #[test]

@@ -2,12 +2,15 @@
 
 use crate::config::StatusConfig;
 use rig_model::Stamp;
+use std::borrow::Cow;
 
 /// Why the pose comes from images alone where no IMU sample is accepted.
 pub const NO_IMU_SAMPLE: &str = "no usable IMU sample";
 /// Reason of a pose that images contradict again and again.
 pub const CONTRADICTED_REASON: &str = "images contradict the IMU or the encoders: check units, \
                             signs, orientations and frames (`volant check` names the cause)";
+/// Reason of a pose that images have not confirmed yet.
+pub const NEW_REASON: &str = "initialized from one image, and not confirmed yet by those after it";
 /// Reason of a pose without images that they contradicted shortly before.
 pub const UNCONFIRMED_REASON: &str =
     "no image used, and the last ones contradicted the IMU or the encoders";
@@ -16,7 +19,7 @@ pub const UNCONFIRMED_REASON: &str =
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum PoseState {
-    /// No pose yet.
+    /// No pose yet, or one that the images after its first have not confirmed.
     Initializing = 0,
     /// Images and IMU samples are used.
     Tracking = 1,
@@ -87,13 +90,13 @@ impl PoseStatus {
     }
 
     /// Fills in state, validity and reason from the ages and sigmas. `without_imu` is why the pose
-    /// comes from images alone and for how long it has, s, if it does; `contradicted` why the pose
-    /// must not be used, if the inputs contradict each other.
+    /// comes from images alone and for how long it has, s, if it does; `unusable` is the state and the
+    /// reason of a pose that must not be used whatever its sigmas.
     pub fn judged(
         mut self,
         config: &StatusConfig,
         without_imu: Option<(&str, f64)>,
-        contradicted: Option<&str>,
+        unusable: Option<(PoseState, Cow<'static, str>)>,
     ) -> Self {
         // A sigma that is no number is beyond every limit.
         let beyond = |sigma: f64, limit: f64| sigma.is_nan() || sigma > limit;
@@ -101,7 +104,9 @@ impl PoseStatus {
         let beyond_rotation = beyond(self.rotation_sigma, config.max_rotation_sigma);
         let lost = beyond(self.position_sigma, config.lost_position_sigma);
         let mirrored = without_imu.filter(|_| self.markers_used < 4);
-        self.state = if lost || contradicted.is_some() || mirrored.is_some() {
+        self.state = if let Some((state, _)) = unusable {
+            state
+        } else if lost || mirrored.is_some() {
             PoseState::Lost
         } else if without_imu.is_some() {
             PoseState::VisionOnly
@@ -110,12 +115,13 @@ impl PoseStatus {
         } else {
             PoseState::Tracking
         };
-        self.valid = self.state != PoseState::Lost && !beyond_position && !beyond_rotation;
+        let usable = !matches!(self.state, PoseState::Initializing | PoseState::Lost);
+        self.valid = usable && !beyond_position && !beyond_rotation;
         let lasting = |what: &str, age: f64| {
             if age.is_finite() { format!("{what} for {age:.2} s") } else { what.to_owned() }
         };
-        self.reason = match (contradicted, mirrored, without_imu) {
-            (Some(why), ..) => why.to_owned(),
+        self.reason = match (unusable, mirrored, without_imu) {
+            (Some((_, why)), ..) => why.into_owned(),
             (_, Some((why, _)), _) => {
                 format!("{why}, and fewer than four markers: they fit two tilts")
             }
@@ -203,9 +209,12 @@ mod tests {
         let lost = PoseStatus { position_sigma: 0.5, ..tracking.clone() };
         let lost = lost.judged(&config, None, None);
         assert!(lost.state == PoseState::Lost && lost.reason.contains("lost_position"), "{lost:?}");
-        let contradicted =
-            tracking.judged(&StatusConfig::default(), None, Some(CONTRADICTED_REASON));
-        assert!(!contradicted.valid && contradicted.state == PoseState::Lost);
-        assert!(contradicted.reason.contains("units"), "{}", contradicted.reason);
+        for (state, reason) in [(Lost, CONTRADICTED_REASON), (PoseState::Initializing, NEW_REASON)]
+        {
+            let unusable = Some((state, reason.into()));
+            let status = tracking.clone().judged(&StatusConfig::default(), None, unusable);
+            assert_eq!((status.state, status.valid), (state, false));
+            assert_eq!(status.reason, reason);
+        }
     }
 }

@@ -5,10 +5,10 @@ use super::common::{
     simulated,
 };
 use nalgebra::{UnitQuaternion, Vector3};
-use pose_fusion::{FusionConfig, Input, Warning};
-use rig_model::MarkerObservation;
+use pose_fusion::{FusionConfig, Input, Odometry, Warning};
+use rig_model::{MarkerObservation, Stamp};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig, parallel, random::Random};
-use std::fmt;
+use std::{collections::BTreeSet, fmt};
 
 /// Length of a run, s, and of its beginning that does not count.
 const LENGTH: f64 = 8.0;
@@ -175,6 +175,43 @@ fn a_marker_that_is_hidden_while_the_platform_swings_starts_no_mirrored_pose() {
     let all = parallel::map(parallel::processors(), 40, || (), |(), i| worst(i as u64));
     let off: Vec<_> = all.into_iter().filter(|(_, nees)| *nees > 40.0).collect();
     assert!(off.is_empty(), "seed, NEES: {off:?}");
+}
+
+/// A pose is valid once images have agreed with it for 0.2 s, and no longer while they contradict
+/// it. Before, one with the gyroscope's axes negated was valid 505 mm off.
+#[test]
+fn a_pose_that_images_have_not_confirmed_is_not_valid() {
+    let worst = |seed: u64, sign: f64| {
+        let motion = MotionConfig {
+            duration: 6.0,
+            still_until: -10.0,
+            swing: 0.25,
+            wobble: 0.15,
+            ..MotionConfig::nominal(seed)
+        };
+        let sensors =
+            SensorConfig { attitude_error: 0.0, image_rate: 10.0, ..SensorConfig::nominal(seed) };
+        let run = simulated::run(motion, &sensors);
+        let inputs = run.changed(|_, input| {
+            if let Input::Imu(sample) = input {
+                sample.angular_velocity *= sign;
+            }
+        });
+        let (_, outputs) = scoring::follow(FusionConfig::default(), inputs);
+        let valid = outputs.status.iter().filter(|status| status.valid);
+        let valid: BTreeSet<Stamp> = valid.map(|status| status.stamp).collect();
+        let used = outputs.odometry.iter().filter(|odometry| valid.contains(&odometry.stamp));
+        let error = |odometry: &Odometry| {
+            let truth = run.truth.at(odometry.stamp).unwrap().world_from_volant.translation;
+            (odometry.world_from_volant.translation.vector - truth.vector).norm()
+        };
+        used.map(error).fold(0.0, f64::max)
+    };
+    for (sign, limit) in [(1.0, 0.12), (-1.0, 0.2)] {
+        let all = parallel::map(parallel::processors(), 20, || (), |(), i| worst(i as u64, sign));
+        let off: Vec<_> = all.iter().enumerate().filter(|(_, worst)| **worst > limit).collect();
+        assert!(off.is_empty(), "gyroscope times {sign}: seed, m: {off:?}");
+    }
 }
 
 /// With the first image the velocity is unknown: until the second, the position may become too
