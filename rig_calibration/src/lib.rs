@@ -20,7 +20,9 @@ mod parameters;
 mod problem;
 mod recording;
 
-pub use check::{CheckRow, Clocks, Finding, MISFIT, Report, Track, Verdict, check, examine_stamps};
+pub use check::{
+    CheckRow, Configured, Finding, MISFIT, Report, Track, Verdict, check, examine_stamps,
+};
 pub use error::CalibrationError;
 pub use estimate::{Estimate, Refinement, Row, refine_rig};
 pub use recording::{Recording, Samples, Shot};

@@ -1,12 +1,12 @@
 //! Parameters of the adjustment: what the filter takes as given, and the sensors' biases.
 
-use crate::recording::Recording;
+use crate::recording::{Moving, Recording};
 use nalgebra::{DVector, Isometry3, Matrix2, Translation3, UnitQuaternion, Vector2, Vector3};
 use rig_model::{CameraModel, Distortion, MarkerLayout, Rig};
 use std::ops::Range;
 
 /// Number of parameters.
-pub const PARAMETERS: usize = 52;
+pub const PARAMETERS: usize = 54;
 /// Rotation of the camera about the climber's axes, rad.
 pub const CAMERA_TURN: Range<usize> = 0..3;
 /// Position of the camera in the climber frame, m.
@@ -43,10 +43,12 @@ pub const RATE_SCALE: Range<usize> = 45..48;
 pub const FORCE_SCALE: Range<usize> = 48..51;
 /// Readout time of a rolling shutter, s.
 pub const READOUT: usize = 51;
+/// Tilt of the climber by its acceleration along the world's x and y, rad/(m/s²).
+pub const CARRIAGE: Range<usize> = 52..54;
 
 /// Parameters on which pixels depend.
 pub fn of_pixels(i: usize) -> bool {
-    i < 6 || MARKERS.contains(&i) || (CLIMBER_CLOCK..=TURN_SCALE).contains(&i) || i == READOUT
+    i < 6 || MARKERS.contains(&i) || (CLIMBER_CLOCK..=TURN_SCALE).contains(&i) || i >= READOUT
 }
 
 /// Parameters on which the IMU's motion between two images depends.
@@ -80,6 +82,8 @@ pub struct Parameters {
     pub rails: Matrix2<f64>,
     /// Factor of the climber's turn.
     pub turn_scale: f64,
+    /// Tilt of the climber by its acceleration along x and y, rad/(m/s²): about y and about −x.
+    pub carriage: Vector2<f64>,
     /// Climber axes (x, y, turn) whose readings are not used.
     pub ignored: [bool; 3],
     /// Readings (x, y, turn) about which the encoders' scales act: of the rails, whose origin is
@@ -122,6 +126,7 @@ impl Parameters {
             readout: 0.0,
             rails: Matrix2::identity(),
             turn_scale: 1.0,
+            carriage: Vector2::zeros(),
             ignored: [false; 3],
             pivot: (pivot / n).xy().push(0.0),
         }
@@ -157,6 +162,7 @@ impl Parameters {
         let r = &step[RAILS];
         next.rails += Matrix2::new(r[0], r[1], r[2], r[3]);
         next.turn_scale += step[TURN_SCALE];
+        next.carriage += Vector2::new(step[CARRIAGE.start], step[CARRIAGE.start + 1]);
         next
     }
 
@@ -196,18 +202,31 @@ impl Parameters {
         let rails = (self.rails - other.rails).transpose();
         d.rows_mut(RAILS.start, 4).copy_from_slice(rails.as_slice());
         d[TURN_SCALE] = self.turn_scale - other.turn_scale;
+        d.rows_mut(CARRIAGE.start, 2).copy_from(&(self.carriage - other.carriage));
         d
+    }
+
+    /// Largest tilt of the climber at the images, rad.
+    pub fn largest_tilt(&self, recording: &Recording) -> f64 {
+        let tilt = |time: f64| {
+            let moving = recording.climber_at(time - self.climber_clock);
+            self.carriage.component_mul(&moving.acceleration.xy()).norm()
+        };
+        recording.shots.iter().map(|shot| tilt(shot.time)).fold(0.0, f64::max)
     }
 
     /// `world_from_climber` at a time of the camera's clock, with the encoders' scales.
     pub fn world_from_climber(&self, recording: &Recording, time: f64) -> Isometry3<f64> {
-        let (position, turn) = recording.climber_at(time - self.climber_clock);
+        let Moving { position, turn, acceleration } =
+            recording.climber_at(time - self.climber_clock);
         let about = self.pivot.xy();
         let moved: Vector2<f64> = about + self.rails * (position.xy() - about);
         let turn = self.pivot.z + self.turn_scale * (turn - self.pivot.z);
+        let tilt = self.carriage.component_mul(&acceleration.xy());
         Isometry3::from_parts(
             Translation3::new(moved.x, moved.y, position.z),
-            UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn),
+            UnitQuaternion::from_scaled_axis(Vector3::new(-tilt.y, tilt.x, 0.0))
+                * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn),
         )
     }
 }

@@ -111,6 +111,17 @@ pub struct Shot {
     pub by_readout: [Vector2<f64>; 4],
 }
 
+/// Climber at an instant.
+#[derive(Clone, Copy, Debug)]
+pub struct Moving {
+    /// Position, m.
+    pub position: Vector3<f64>,
+    /// Rotation about the vertical, rad, unwrapped.
+    pub turn: f64,
+    /// Acceleration, m/s²; 0 where the samples do not show it.
+    pub acceleration: Vector3<f64>,
+}
+
 /// Recording as numbers.
 #[derive(Clone, Debug)]
 pub struct Recording {
@@ -125,9 +136,10 @@ pub struct Recording {
     pub climber: Vec<(f64, Vector3<f64>, f64)>,
 }
 
-/// Half width of the window of the weighted fit to the climber's samples, s: averages the encoders'
+/// Half widths of the windows of the weighted fits to the climber's samples, s: average the encoders'
 /// quantization.
 const CLIMBER_WINDOW: f64 = 0.2;
+const ACCELERATION_WINDOW: f64 = 0.35;
 
 /// Longest part of a recording that a check uses, images, and of how many it takes one in a part of
 /// more than half of that: its time grows with them.
@@ -196,7 +208,9 @@ impl Recording {
         let mut way = vec![0.0_f64];
         for w in self.shots.windows(2) {
             let (a, b) = (self.climber_at(w[0].time), self.climber_at(w[1].time));
-            way.push(way[way.len() - 1] + ((b.0 - a.0).norm() + (b.1 - a.1).abs()));
+            way.push(
+                way[way.len() - 1] + ((b.position - a.position).norm() + (b.turn - a.turn).abs()),
+            );
         }
         let last = self.shots.len() - SPAN;
         let of = |k: &usize| way[k + SPAN - 1] - way[*k];
@@ -204,37 +218,56 @@ impl Recording {
         self.shots = self.shots[first..first + SPAN].to_vec();
     }
 
-    /// Position (m) and turn (rad) of the climber at a time of its clock, by a parabola
-    /// through the samples around it.
-    pub fn climber_at(&self, time: f64) -> (Vector3<f64>, f64) {
-        let first = self.climber.partition_point(|c| c.0 < time - CLIMBER_WINDOW);
-        let last = self.climber.partition_point(|c| c.0 <= time + CLIMBER_WINDOW);
-        // Weights that vanish at the window's ends: the result is smooth in time.
-        let weight = |c: &(f64, Vector3<f64>, f64)| {
-            let u = (c.0 - time) / CLIMBER_WINDOW;
-            (1.0 - u * u).max(0.0).powi(2)
+    /// The climber at a time of its clock, by parabolas through the samples around it.
+    pub fn climber_at(&self, time: f64) -> Moving {
+        let fitted = |window| fit(&self.climber, time, window);
+        let (value, acceleration) = match fitted(CLIMBER_WINDOW) {
+            Some((value, _)) => (value, fitted(ACCELERATION_WINDOW).map(|(_, a)| a)),
+            None => (line(&self.climber, time), None),
         };
-        let samples = &self.climber[first..last];
-        let reading = |c: &(f64, Vector3<f64>, f64)| Vector4::new(c.1.x, c.1.y, c.1.z, c.2);
-        // Normal equations of value, rate and half the acceleration at `time`.
-        let (mut matrix, mut right) = (Matrix3::zeros(), SMatrix::<f64, 3, 4>::zeros());
-        for c in samples {
-            let u = (c.0 - time) / CLIMBER_WINDOW;
-            let powers = Vector3::new(1.0, u, u * u);
-            matrix += powers * powers.transpose() * weight(c);
-            right += powers * reading(c).transpose() * weight(c);
-        }
-        let around = samples.iter().any(|c| c.0 < time) && samples.iter().any(|c| c.0 > time);
-        if let Some(factor) = matrix.cholesky().filter(|_| around && samples.len() >= 5) {
-            let value = factor.solve(&right).row(0).transpose();
-            return (value.xyz(), value.w);
-        }
-        // At an end, or in a gap: the line through two samples.
-        let middle = self.climber.partition_point(|c| c.0 < time).clamp(1, self.climber.len() - 1);
-        let (a, b) = (&self.climber[middle - 1], &self.climber[middle]);
-        let value = reading(a) + (reading(b) - reading(a)) * ((time - a.0) / (b.0 - a.0).max(1e-6));
-        (value.xyz(), value.w)
+        let acceleration = acceleration.unwrap_or_default().xyz();
+        Moving { position: value.xyz(), turn: value.w, acceleration }
     }
+}
+
+fn reading(sample: &(f64, Vector3<f64>, f64)) -> Vector4<f64> {
+    sample.1.push(sample.2)
+}
+
+/// Value and acceleration at a time by a parabola through the climber's samples within half a
+/// window, s; `None` at an end, or in a gap.
+fn fit(
+    climber: &[(f64, Vector3<f64>, f64)],
+    time: f64,
+    window: f64,
+) -> Option<(Vector4<f64>, Vector4<f64>)> {
+    let first = climber.partition_point(|c| c.0 < time - window);
+    let last = climber.partition_point(|c| c.0 <= time + window);
+    let samples = &climber[first..last];
+    let around = samples.iter().any(|c| c.0 < time) && samples.iter().any(|c| c.0 > time);
+    if !around || samples.len() < 5 {
+        return None;
+    }
+    // Normal equations of value, rate and half the acceleration at `time`.
+    let (mut matrix, mut right) = (Matrix3::zeros(), SMatrix::<f64, 3, 4>::zeros());
+    for c in samples {
+        let u = (c.0 - time) / window;
+        // Weights that vanish at the window's ends: the result is smooth in time.
+        let weight = (1.0 - u * u).max(0.0).powi(2);
+        let powers = Vector3::new(1.0, u, u * u);
+        matrix += powers * powers.transpose() * weight;
+        right += powers * reading(c).transpose() * weight;
+    }
+    let solved = matrix.cholesky()?.solve(&right);
+    let [value, half] = [0, 2].map(|power| solved.row(power).transpose());
+    Some((value, half * (2.0 / (window * window))))
+}
+
+/// Value at a time on the line through two of the climber's samples.
+fn line(climber: &[(f64, Vector3<f64>, f64)], time: f64) -> Vector4<f64> {
+    let middle = climber.partition_point(|c| c.0 < time).clamp(1, climber.len() - 1);
+    let (a, b) = (&climber[middle - 1], &climber[middle]);
+    reading(a) + (reading(b) - reading(a)) * ((time - a.0) / (b.0 - a.0).max(1e-6))
 }
 
 fn climber_line(samples: &[ClimberSample], start: Stamp) -> Vec<(f64, Vector3<f64>, f64)> {

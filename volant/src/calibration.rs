@@ -8,7 +8,7 @@ use bag::BagReader;
 use climber_driver::Climber;
 use marker_tracker::{Input, Output, Tracker, TrackerConfig};
 use rig_calibration::{
-    Clocks, Estimate, Recording, Report, Samples, Track, examine_stamps, refine_rig,
+    Configured, Estimate, Recording, Report, Samples, Track, examine_stamps, refine_rig,
 };
 use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations, Sample, topics};
 use std::path::Path;
@@ -152,10 +152,13 @@ pub fn check_bag(bag: &Path, cores: &Cores, losses: &mut Vec<String>) -> Result<
         track_bag(bag, layout, &cores.tracker, camera, limit, &cores.names).unwrap_or_default()
     };
     let track: Option<&mut Track<'_>> = if has_images { Some(&mut track) } else { None };
-    let clock = &cores.fusion.tight.clock;
-    let clocks =
-        Clocks { climber_offset: clock.climber_offset, image_readout: clock.image_readout };
-    rig_calibration::check(&samples, &cores.rig, clocks, track)
+    let config = &cores.fusion.tight;
+    let configured = Configured {
+        climber_offset: config.clock.climber_offset,
+        image_readout: config.clock.image_readout,
+        camera_tilt: config.markers.camera_tilt,
+    };
+    rig_calibration::check(&samples, &cores.rig, configured, track)
         .with_context(|| bag.display().to_string())
 }
 

@@ -4,13 +4,13 @@ use super::{
     Corrected,
     groups::{Cause, GROUPS, Group},
     select::{MISFIT, Outcome},
+    sentences::{finding, name},
 };
 use crate::{
     climber,
     parameters::{CAMERA_CLOCK, Parameters},
 };
 use nalgebra::DVector;
-use rig_model::MarkerColor;
 use std::fmt;
 
 /// Judgement of a value.
@@ -101,12 +101,21 @@ impl Report {
 /// A deviation is significant beyond this number of standard deviations.
 const SIGNIFICANT: f64 = 3.5;
 
+/// Largest tilt of the carriage in a recording, and the one that the filter's parameters declare,
+/// rad.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Tilts {
+    pub largest: f64,
+    pub declared: f64,
+}
+
 /// Composes the report; `change` is the estimate's difference to the files.
 pub(crate) fn report(
     state: &Corrected,
     file: &Parameters,
     outcome: &Outcome,
     change: &DVector<f64>,
+    tilts: Tilts,
 ) -> Report {
     let mut findings = state.findings.clone();
     // A model that does not fit has no right values.
@@ -120,11 +129,12 @@ pub(crate) fn report(
     for group in &GROUPS {
         let freed = outcome.explanations.iter().find(|e| e.cause == group.cause);
         let mut worst = Verdict::Unobservable;
+        let declared = group.cause == Cause::Carriage && tilts.declared >= tilts.largest;
         for i in group.indexes() {
             let (further, deviation) = outcome.alone[i];
             let freed = freed.is_some() || group.always_free();
             let value = total(i) + if freed { 0.0 } else { further };
-            let significant = value.abs() > SIGNIFICANT * deviation;
+            let significant = value.abs() > SIGNIFICANT * deviation && !declared;
             let scale = group.scale(i, file.camera.distortion());
             let verdict = match value.abs() / scale {
                 v if freed && significant && v > group.sizes[1] => worst_possible,
@@ -140,7 +150,7 @@ pub(crate) fn report(
         let named = state.findings.iter().any(|f| f.key == name(group.cause));
         if worst >= Verdict::Suspect && !named {
             let alternatives = freed.map(|e| e.alternatives.clone()).unwrap_or_default();
-            findings.push(finding(group, worst, file, &total, &alternatives));
+            findings.push(finding(group, worst, file, &total, &alternatives, tilts));
         }
     }
     rows.extend(
@@ -249,150 +259,4 @@ fn file_value(cause: Cause, k: usize, file: &Parameters) -> f64 {
         Cause::Readout => file.readout,
         _ => 0.0,
     }
-}
-
-fn name(cause: Cause) -> &'static str {
-    match cause {
-        Cause::CameraTilt | Cause::CameraYaw => "camera.orientation",
-        Cause::CameraPlace => "camera.position",
-        Cause::ImuTurn => "imu.orientation",
-        Cause::ImuPlace => "imu.position",
-        Cause::Marker(i) => {
-            ["markers.red", "markers.green", "markers.blue", "markers.yellow"][i.min(3)]
-        }
-        Cause::Focal => "camera_info: focal length",
-        Cause::Principal => "camera_info: principal point",
-        Cause::Distortion => "camera_info: distortion",
-        Cause::LayoutScale => "markers: scale",
-        Cause::RailX => "climber.rail_x scale",
-        Cause::RailY => "climber.rail_y scale",
-        Cause::TurnScale => "climber.turn scale",
-        Cause::GyroScale => "gyroscope scale",
-        Cause::AccelerometerScale => "accelerometer scale",
-        Cause::ClimberClock => "climber clock",
-        Cause::ImuClock => "imu clock",
-        Cause::Readout => "clock.image_readout",
-    }
-}
-
-/// Sentence and remedy of a cause.
-fn finding(
-    group: &Group,
-    verdict: Verdict,
-    file: &Parameters,
-    total: &dyn Fn(usize) -> f64,
-    alternatives: &[Cause],
-) -> Finding {
-    let of = |k: usize| total(group.first + k) * group.unit.1;
-    let percent = || format!("{:+.1} %", 100.0 * total(group.first).exp_m1());
-    let vector = || {
-        let parts: Vec<String> =
-            (0..group.count.min(3)).map(|k| format!("{:+.1}", of(k))).collect();
-        format!("({}) {}", parts.join(", "), group.unit.0)
-    };
-    let (mut text, remedy) = match group.cause {
-        Cause::CameraTilt => (
-            format!("camera.orientation is tilted by {} about the climber's x and y", vector()),
-            "run `volant calibrate rig`, or level the camera",
-        ),
-        Cause::CameraYaw => (
-            format!(
-                "camera.orientation is turned by {:+.1}° about the vertical, or the zero of the joint `turn` is off by it",
-                of(0)
-            ),
-            "correct camera.orientation in the rig file, or `zero.turn` of climber_driver",
-        ),
-        Cause::CameraPlace => (
-            format!("camera.position is off by {}", vector()),
-            "measure the camera's place on the climber from the axis of its turn",
-        ),
-        Cause::ImuTurn => (
-            format!("imu.orientation is off by {} about the platform's x, y, z", vector()),
-            "run `volant calibrate rig`, or mount the IMU parallel to the platform",
-        ),
-        Cause::ImuPlace => (
-            format!("imu.position is off by {}", vector()),
-            "measure from the platform's origin to the IMU, in meters",
-        ),
-        Cause::Marker(i) => (
-            format!("the {} marker is off by {}", MarkerColor::ALL[i.min(3)], vector()),
-            "measure this marker's place on the platform again",
-        ),
-        Cause::Focal => (
-            format!(
-                "camera_info: the focal length is off: it would be right changed by {}",
-                percent()
-            ),
-            "run `volant calibrate camera`; was camera_info made for another resolution or lens?",
-        ),
-        Cause::Principal => (
-            format!("camera_info: the principal point is off by {}", vector()),
-            "run `volant calibrate camera`; are the images cropped?",
-        ),
-        Cause::Distortion => (
-            "camera_info: the distortion coefficients do not fit the images".to_owned(),
-            "run `volant calibrate camera`; the order is k1, k2, p1, p2, k3 (plumb_bob) or k1, k2, \
-             k3, k4 (equidistant)",
-        ),
-        Cause::LayoutScale => (
-            format!(
-                "the marker layout has the wrong size: it would be right changed by {}",
-                percent()
-            ),
-            "measure the distances between the markers again; was the sheet printed to scale?",
-        ),
-        Cause::RailX | Cause::RailY | Cause::TurnScale => {
-            let joint = match group.cause {
-                Cause::RailX => "rail_x",
-                Cause::RailY => "rail_y",
-                _ => "turn",
-            };
-            (
-                format!(
-                    "the scale of the joint `{joint}` is off: true motion is {:.4} of its reading",
-                    1.0 + total(group.first)
-                ),
-                "correct the joint's scale in climber_driver's parameters (`volant calibrate climber`)",
-            )
-        }
-        Cause::GyroScale | Cause::AccelerometerScale => (
-            format!("the {} is off by {}", name(group.cause), vector()),
-            "check the IMU's unit and range; have it calibrated",
-        ),
-        Cause::ClimberClock => (
-            format!(
-                "the encoders' stamps are {:+.1} ms from the images', and clock.climber_offset is \
-                 {} s",
-                -(of(0) + group.unit.1 * file.climber_clock),
-                file.climber_clock
-            ),
-            "stamp the encoders when they are sampled, or correct clock.climber_offset",
-        ),
-        Cause::ImuClock => (
-            format!("the IMU's stamps are {:+.1} ms from the images'", of(0)),
-            "synchronize the clocks, or stamp the images at mid-exposure",
-        ),
-        Cause::Readout => {
-            let readout = file.readout + total(group.first);
-            if readout.abs() < group.sizes[0] {
-                let text = format!(
-                    "the images show no rolling shutter, but clock.image_readout is {} s",
-                    file.readout
-                );
-                (text, "set clock.image_readout of pose_fusion to 0")
-            } else {
-                let text = format!(
-                    "the camera has a rolling shutter: it takes {readout:.4} s from the first row to \
-                     the last, and clock.image_readout is {} s",
-                    file.readout
-                );
-                (text, "set clock.image_readout of pose_fusion to it, or use a global shutter")
-            }
-        }
-    };
-    if !alternatives.is_empty() {
-        let names: Vec<&str> = alternatives.iter().map(|c| name(*c)).collect();
-        text = format!("{text} (or {})", names.join(", "));
-    }
-    Finding { verdict, ..Finding::wrong(name(group.cause), text, remedy) }
 }

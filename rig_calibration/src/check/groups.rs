@@ -3,8 +3,9 @@
 
 use super::select::PER_PARAMETER;
 use crate::parameters::{
-    CAMERA_CLOCK, CAMERA_PLACE, CAMERA_TURN, CLIMBER_CLOCK, DISTORTION, FOCAL, FORCE_SCALE,
-    IMU_PLACE, IMU_TURN, LAYOUT_SCALE, MARKERS, PRINCIPAL, RAILS, RATE_SCALE, READOUT, TURN_SCALE,
+    CAMERA_CLOCK, CAMERA_PLACE, CAMERA_TURN, CARRIAGE, CLIMBER_CLOCK, DISTORTION, FOCAL,
+    FORCE_SCALE, IMU_PLACE, IMU_TURN, LAYOUT_SCALE, MARKERS, PRINCIPAL, RAILS, RATE_SCALE, READOUT,
+    TURN_SCALE,
 };
 use rig_model::Distortion;
 
@@ -29,6 +30,7 @@ pub(crate) enum Cause {
     ClimberClock,
     ImuClock,
     Readout,
+    Carriage,
 }
 
 /// One cause, with its parameters.
@@ -54,6 +56,7 @@ const LENGTH: (&str, f64) = ("mm", 1e3);
 const SHARE: (&str, f64) = ("%", 100.0);
 const TIME: (&str, f64) = ("ms", 1e3);
 const PIXEL: (&str, f64) = ("px", 1.0);
+const ANGLE_BY_ACCELERATION: (&str, f64) = ("deg s²/m", 1.0 / DEG);
 
 const fn group(
     cause: Cause,
@@ -72,7 +75,7 @@ const fn marker(i: usize) -> Group {
 
 /// All groups. The sizes are those that cost the pose more than its usual accuracy of some
 /// millimeters (`test/ROBUSTNESS.md`).
-pub(crate) const GROUPS: [Group; 21] = [
+pub(crate) const GROUPS: [Group; 22] = [
     group(Cause::CameraTilt, CAMERA_TURN.start, 2, [0.1 * DEG, 0.5], [0.5 * DEG, 1.0 * DEG], ANGLE),
     group(
         Cause::CameraYaw,
@@ -101,6 +104,14 @@ pub(crate) const GROUPS: [Group; 21] = [
     group(Cause::ClimberClock, CLIMBER_CLOCK, 1, [2e-3, 0.3], [8e-3, 0.02], TIME),
     group(Cause::ImuClock, CAMERA_CLOCK, 1, [0.03, 0.1], [0.03, 0.1], TIME),
     group(Cause::Readout, READOUT, 1, [5e-4, 0.1], [3e-3, 6e-3], TIME),
+    group(
+        Cause::Carriage,
+        CARRIAGE.start,
+        2,
+        [0.005 * DEG, 0.5],
+        [0.03 * DEG, 0.06 * DEG],
+        ANGLE_BY_ACCELERATION,
+    ),
 ];
 
 impl Group {

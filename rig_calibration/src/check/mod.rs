@@ -9,6 +9,7 @@ mod layout;
 mod places;
 mod rates;
 mod select;
+mod sentences;
 mod stamps;
 #[cfg(test)]
 mod tests;
@@ -61,13 +62,15 @@ impl Corrected {
     }
 }
 
-/// Configured clocks, which the check judges.
+/// Parameters of the filter that the check judges.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Clocks {
+pub struct Configured {
     /// Offset of the climber's stamps, s: climber stamp + offset = camera time.
     pub climber_offset: f64,
     /// Readout time of the camera's rolling shutter, s.
     pub image_readout: f64,
+    /// Declared tilt of a carriage that rocks, rad.
+    pub camera_tilt: f64,
 }
 
 /// Checks a rig's files against a recording.
@@ -80,7 +83,7 @@ pub struct Clocks {
 pub fn check(
     samples: &Samples,
     rig: &Rig,
-    clocks: Clocks,
+    configured: Configured,
     track: Option<&mut Track<'_>>,
 ) -> Result<Report, CalibrationError> {
     let mut state = Corrected {
@@ -100,7 +103,7 @@ pub fn check(
     }
     state.samples.repair();
     for sample in &mut state.samples.climber {
-        sample.stamp = sample.stamp.plus_seconds(clocks.climber_offset);
+        sample.stamp = sample.stamp.plus_seconds(configured.climber_offset);
     }
     inertial::examine_units(&mut state);
     layout::examine_places(&mut state);
@@ -108,7 +111,7 @@ pub fn check(
     if let Some(report) = state.blocked() {
         return Ok(report);
     }
-    state.samples.at_one_time(clocks.image_readout);
+    state.samples.at_one_time(configured.image_readout);
     let recording = Recording::new(&state.samples)?;
     rates::examine_turn(&mut state, &recording);
     if let Some(report) = state.blocked() {
@@ -142,8 +145,12 @@ pub fn check(
     };
     let change: DVector<f64> = outcome.parameters.minus(&file);
     // The samples are shifted by them, so that the changes are relative to them.
-    (file.climber_clock, file.readout) = (clocks.climber_offset, clocks.image_readout);
-    let mut report = findings::report(&state, &file, &outcome, &change);
+    (file.climber_clock, file.readout) = (configured.climber_offset, configured.image_readout);
+    let tilts = findings::Tilts {
+        largest: outcome.parameters.largest_tilt(&recording),
+        declared: configured.camera_tilt,
+    };
+    let mut report = findings::report(&state, &file, &outcome, &change, tilts);
     // Larger errors are mended first.
     if report.findings.is_empty() {
         report.findings.extend(places::examine(rig, &outcome, &change));

@@ -234,7 +234,7 @@ fn visual_rates(
     turn_unit: f64,
 ) -> Vec<(f64, f64, Vector3<f64>)> {
     let rotation = |(time, pose): &(f64, Isometry3<f64>)| {
-        let turn = recording.climber_at(*time).1 * turn_unit;
+        let turn = recording.climber_at(*time).turn * turn_unit;
         let climber = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn);
         (*time, climber * state.rig.climber_from_camera.rotation * pose.rotation)
     };

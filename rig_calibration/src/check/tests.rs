@@ -17,10 +17,15 @@ fn recorded() -> (Samples, Rig) {
 }
 
 fn recorded_with(sensors: SensorConfig) -> (Samples, Rig) {
+    recorded_at(0.5, sensors)
+}
+
+/// The same at a speed of the climber, m/s.
+fn recorded_at(climber_speed: f64, sensors: SensorConfig) -> (Samples, Rig) {
     let motion = Motion::new(MotionConfig {
         duration: 20.0,
         swing: 0.2,
-        climber_speed: 0.5,
+        climber_speed,
         climber_turn_rate: 0.4,
         ..MotionConfig::nominal(1)
     });
@@ -53,7 +58,7 @@ fn clocks_that_are_seconds_or_an_hour_apart_accuse_nothing_else() {
         let mut early = samples.clone();
         early.imu.iter_mut().for_each(|s| shift(&mut s.stamp, -seconds));
         for (samples, key) in [(late, "climber/transform"), (early, "clock.imu")] {
-            let report = check(&samples, &rig, Clocks::default(), None).unwrap();
+            let report = check(&samples, &rig, Configured::default(), None).unwrap();
             let keys: Vec<&str> = report.findings.iter().map(|f| f.key.as_str()).collect();
             assert_eq!(keys, [key], "{seconds}");
         }
@@ -74,7 +79,7 @@ fn an_imu_that_repeats_one_value_is_what_is_wrong() {
         let mut stuck = samples.clone();
         let first = stuck.imu[0];
         stuck.imu.iter_mut().for_each(|s| change(s, &first));
-        let report = check(&stuck, &rig, Clocks::default(), None).unwrap();
+        let report = check(&stuck, &rig, Configured::default(), None).unwrap();
         let keys: Vec<String> = report.findings.iter().map(|f| f.key.clone()).collect();
         assert_eq!(keys, sensors.iter().map(|s| format!("imu.{s}")).collect::<Vec<_>>());
     }
@@ -112,7 +117,7 @@ fn images_decide_between_the_units_of_a_layout_with_small_markers() {
     let right = rig.markers.centers;
     rig.markers.side = 0.025;
     rig.markers.centers.0.iter_mut().for_each(|c| c.coords *= 100.0);
-    let found = check(&samples, &rig, Clocks::default(), None).unwrap().findings;
+    let found = check(&samples, &rig, Configured::default(), None).unwrap().findings;
     assert!(found.len() == 1 && found[0].blocks, "{found:?}");
     assert!(found[0].text.contains("in millimeters or centimeters instead"), "{found:?}");
     let is_right = |layout: &MarkerLayout| (layout.centers.0[0] - right.0[0]).norm() < 1e-6;
@@ -146,7 +151,7 @@ fn some_wrong_images_accuse_nobody() {
                 marker.centroid += Vector2::new(off, 0.0);
             }
         }
-        let report = check(&samples, &rig, Clocks::default(), None).unwrap();
+        let report = check(&samples, &rig, Configured::default(), None).unwrap();
         assert!(report.findings.is_empty(), "{seed}: {:?}", report.findings);
     }
 }
@@ -172,7 +177,7 @@ fn repeated_and_invalid_messages_are_left_out() {
     let repaired = Recording::new(&wrong).unwrap();
     assert_eq!((&repaired.imu, &repaired.climber), (&right.imu, &right.climber));
     assert_eq!(repaired.shots.len(), right.shots.len());
-    let report = check(&wrong, &rig, Clocks::default(), None).unwrap();
+    let report = check(&wrong, &rig, Configured::default(), None).unwrap();
     // Only the unset stamp is named.
     let keys: Vec<&str> = report.findings.iter().map(|f| f.key.as_str()).collect();
     assert_eq!(keys, ["volant/imu/data"]);
@@ -184,7 +189,7 @@ fn a_step_of_the_clock_accuses_nothing_else() {
         let (mut samples, rig) = recorded();
         let half = samples.imu.len() / 2;
         samples.imu[half..].iter_mut().for_each(|s| shift(&mut s.stamp, seconds));
-        let report = check(&samples, &rig, Clocks::default(), None).unwrap();
+        let report = check(&samples, &rig, Configured::default(), None).unwrap();
         let found: Vec<_> = report.findings.iter().map(|f| (f.key.as_str(), f.verdict)).collect();
         assert_eq!(found, [("volant/imu/data", Verdict::Wrong)], "{seconds}");
         assert!(examine_stamps(&samples)[0].blocks);
@@ -205,7 +210,7 @@ fn a_rolling_shutter_is_named_with_its_readout_time() {
         let (samples, rig) =
             recorded_with(SensorConfig { image_readout: readout, ..SensorConfig::nominal(1) });
         let report = |image_readout: f64| {
-            let clocks = Clocks { image_readout, ..Clocks::default() };
+            let clocks = Configured { image_readout, ..Configured::default() };
             check(&samples, &rig, clocks, None).unwrap()
         };
         let found = report(0.0);
@@ -217,21 +222,61 @@ fn a_rolling_shutter_is_named_with_its_readout_time() {
         assert!(right.findings.is_empty(), "{:?}", right.findings);
     }
     let (samples, rig) = recorded();
-    let clocks = Clocks { image_readout: 0.02, ..Clocks::default() };
+    let clocks = Configured { image_readout: 0.02, ..Configured::default() };
     let found = check(&samples, &rig, clocks, None).unwrap().findings;
     assert!(found.len() == 1 && found[0].text.contains("show no rolling shutter"), "{found:?}");
+}
+
+/// The samples with the camera turned by the climber's acceleration, rad/(m/s²).
+fn rocking(mut samples: Samples, rig: &Rig, tilt_by_acceleration: f64) -> Samples {
+    let recording = Recording::new(&samples).unwrap();
+    let rocking = Parameters {
+        carriage: Vector2::repeat(tilt_by_acceleration),
+        ..Parameters::new(rig, &recording)
+    };
+    let steady = Parameters::new(rig, &recording);
+    let start = samples.imu[0].stamp;
+    for image in &mut samples.markers {
+        let at = image.stamp.seconds_since(start);
+        let camera = |p: &Parameters| {
+            p.world_from_climber(&recording, at).rotation * rig.climber_from_camera.rotation
+        };
+        let turned = camera(&rocking).inverse() * camera(&steady);
+        for marker in image.markers.0.iter_mut().filter(|m| m.centroid.x.is_finite()) {
+            let ray = turned * samples.camera.ray(&marker.centroid).unwrap();
+            marker.centroid = samples.camera.project(&ray.into()).unwrap();
+        }
+    }
+    samples
+}
+
+#[test]
+fn a_carriage_that_rocks_is_named_unless_its_tilt_is_declared() {
+    let (samples, rig) = recorded_at(1.5, SensorConfig::nominal(1));
+    let by_acceleration = 0.25f64.to_radians();
+    let samples = rocking(samples, &rig, by_acceleration);
+    let found = check(&samples, &rig, Configured::default(), None).unwrap();
+    let keys: Vec<&str> = found.findings.iter().map(|f| f.key.as_str()).collect();
+    assert_eq!(keys, ["carriage tilt by acceleration"], "{:?}", found.findings);
+    for row in found.rows.iter().filter(|row| row.name.starts_with("carriage")) {
+        let off = row.estimate - 0.25;
+        assert!(off.abs() < 3.0 * row.deviation && row.deviation < 0.05, "{row:?}");
+    }
+    let declared = Configured { camera_tilt: 0.01, ..Configured::default() };
+    let found = check(&samples, &rig, declared, None).unwrap();
+    assert!(found.findings.is_empty(), "{:?}", found.findings);
 }
 
 #[test]
 fn a_marker_that_is_a_millimeter_off_is_suspect_and_named() {
     let (samples, rig) = recorded();
-    assert!(check(&samples, &rig, Clocks::default(), None).unwrap().findings.is_empty());
+    assert!(check(&samples, &rig, Configured::default(), None).unwrap().findings.is_empty());
     for (marker, axis, millimeters) in
         [(0, 0, -1.0), (1, 1, 1.0), (2, 0, 1.0), (3, 1, -1.0), (0, 1, 3.0), (2, 1, -4.0)]
     {
         let mut wrong = rig.clone();
         wrong.markers.centers.0[marker][axis] -= 1e-3 * millimeters;
-        let found = check(&samples, &wrong, Clocks::default(), None).unwrap().findings;
+        let found = check(&samples, &wrong, Configured::default(), None).unwrap().findings;
         let about = format!("{marker} {axis} {millimeters}: {found:?}");
         let [one] = &found[..] else { panic!("{about}") };
         assert_eq!((one.key.as_str(), one.verdict), ("markers", Verdict::Suspect), "{about}");

@@ -4,7 +4,7 @@ use super::{fault::Fault, light::findings_while_running};
 use crate::robustness::recording;
 use marker_tracker::TrackerConfig;
 use pose_fusion::Input;
-use rig_calibration::{Clocks, Report, Samples, Track, Verdict, check};
+use rig_calibration::{Configured, Report, Samples, Track, Verdict, check};
 use rig_model::{CameraModel, Distortion, MarkerLayout, Rig};
 use rig_simulator::{
     RIG_YAML,
@@ -126,7 +126,7 @@ impl Bench {
         }
         let track: Option<&mut Track<'_>> =
             if self.images.is_some() && retrack { Some(&mut track) } else { None };
-        Ok(check(&samples, &recording.rig, Clocks::default(), track)?)
+        Ok(check(&samples, &recording.rig, Configured::default(), track)?)
     }
 
     /// Applies a fault and checks the recording.
