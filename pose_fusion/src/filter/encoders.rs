@@ -27,8 +27,6 @@ const MOVES: f64 = 5.0;
 const CALM: f64 = 0.2;
 /// Encoders are suspended that contradict although no reading has been used for this time, s.
 const UNUSED: f64 = 0.15;
-/// Residual beyond which the readings of suspended encoders have ever less weight, m and rad.
-const FAR_OFF: f64 = 0.1;
 /// Standard deviation of axes that are not measured, m and rad.
 const UNMEASURED: f64 = 1e3;
 /// Errors of their readings within this time are the same, s.
@@ -113,16 +111,15 @@ impl Filter {
         });
         let standing = moves || stands == [true; 3] || self.climber.may_be_stuck();
         let read = self.read_at(place).unwrap_or(at);
-        let (moves_on, leap) = (self.climber.moves_on(read), self.climber.leap_at(read));
-        let (axis_stands, since) = (stands.contains(&true), self.climber.standing_since());
+        let (moves_on, since) = (self.climber.moves_on(read), self.climber.standing_since());
         let suspended = self.trust.suspended_since().unwrap_or(at);
         let earliest = suspended.plus_seconds(-self.encoder_offset() - SUSPECT);
         let axis_stopped = (0..3).any(|i| stands[i] && since[i].is_some_and(|s| s > earliest));
-        let seen = EncoderEvidence { standing, axis_stands, axis_stopped, moves, moves_on, leap };
+        let seen = EncoderEvidence { standing, axis_stopped, moves, moves_on };
         match self.trust.judge(at, innovation.nis, &innovation.residual, seen, timeout) {
             Verdict::Exclude => {
                 let moving = self.climber.moving();
-                if moving != [false; 3] && self.trust.cause() != Some(Cause::Leap) {
+                if moving != [false; 3] {
                     self.use_with_inflated_noise(place, innovation, moving);
                 }
                 false
@@ -147,10 +144,9 @@ impl Filter {
         }
     }
 
-    /// Uses a reading of suspended encoders that move with a sigma as large as its residual, and
-    /// larger beyond [`FAR_OFF`]: readings that are late bound the drift of the climber, and those
-    /// that are far off have no weight. Axes that do not move are not used. All readings within
-    /// [`CORRELATED_FOR`] count as one.
+    /// Uses a reading of suspended encoders that move with a sigma as large as its residual: readings
+    /// that are late bound the drift of the climber. Axes that do not move are not used. All
+    /// readings within [`CORRELATED_FOR`] count as one.
     fn use_with_inflated_noise(
         &mut self,
         place: usize,
@@ -161,7 +157,7 @@ impl Filter {
         if let Some(entry) = self.history.get_mut(place)
             && let Event::Encoders { reading, excluded, .. } = &mut entry.event
         {
-            let mut sigmas = innovation.residual.map(|r| r.abs() * (r.abs() / FAR_OFF).max(1.0));
+            let mut sigmas = innovation.residual.abs();
             (0..3).filter(|i| !moving[*i]).for_each(|i| sigmas[i] = UNMEASURED);
             reading.variance = reading.variance.sup(&(sigmas.component_mul(&sigmas) * count));
             *excluded = false;
@@ -256,10 +252,7 @@ impl Filter {
             self.publisher.warn(Warning::EncodersSuspended { stamp: at, distance_m, turn_rad });
         }
         let read = self.read_at(place).unwrap_or(at);
-        let returns = self.climber.moves_on(read);
-        let leaps = returns || self.climber.leaps_near(read);
-        let cause = if leaps { Cause::Leap } else { Cause::Contradiction };
-        self.trust.suspend(at, cause, returns);
+        self.trust.suspend(at, Cause::Contradiction, self.climber.moves_on(read));
     }
 
     /// Excludes the readings from an instant of the IMU's time line on, and processes it again.

@@ -8,9 +8,8 @@
 //! its frame. Which of the two is wrong is not known: after `DISAGREES` the published covariance
 //! contains the distance between them; where the encoders seem to be stuck, only until they have
 //! seemed so for `STUCK_CONFIRMED`. Encoders that are known to be stuck are not adopted before they
-//! move again. Readings that return from a fault and go on moving, on all axes that moved, are
-//! right: they are adopted after `RETURNED`. They return where stuck ones move again, or where they
-//! leap to where a climber can have moved to since they were equal or leapt before.
+//! move again. Stuck ones that move again, to where a climber can have moved since, and go on moving
+//! on all axes that moved, are right: they are adopted after `RETURNED`.
 
 use super::encoder_directions::EncoderDirections;
 use nalgebra::Vector3;
@@ -28,9 +27,7 @@ const CONSISTENT: u32 = 3;
 /// Time for which standing readings must be consistent, s: a climber that drives may pass the
 /// position of stuck ones.
 const UNCHANGED: f64 = 1.0;
-/// The same where only one axis stands, which may be at rest, s.
-const PASSED: f64 = 0.3;
-/// Readings that return from a fault and contradict for this long are right, s.
+/// Stuck readings that move again and contradict for this long are right, s.
 const RETURNED: f64 = 0.2;
 /// This long after encoders were suspended, images should not contradict the prediction any
 /// more, s.
@@ -54,8 +51,6 @@ pub enum Verdict {
 pub enum Cause {
     /// They and the estimate contradict each other; which of the two is wrong is not known.
     Contradiction,
-    /// Their readings leapt further than a climber moves.
-    Leap,
     /// They were stuck and move again: wrong until they are adopted or consistent.
     Unstuck,
     /// They are stuck while the climber drives: the estimate is right.
@@ -67,16 +62,12 @@ pub enum Cause {
 pub struct EncoderEvidence {
     /// The newest readings are equal, or those of an axis that may be stuck.
     pub standing: bool,
-    /// The newest readings of an axis are equal.
-    pub axis_stands: bool,
     /// An axis has stood since about when the encoders were suspended: it may be stuck.
     pub axis_stopped: bool,
     /// The estimate of the climber moves.
     pub moves: bool,
     /// The reading is the first that differs after equal ones, and a climber can have moved there.
     pub moves_on: bool,
-    /// The reading leaps; whether to where a climber can have moved to since it leapt before.
-    pub leap: Option<bool>,
 }
 
 /// Whether the encoders are trusted.
@@ -90,7 +81,7 @@ pub struct EncoderTrust {
     /// Newest reading minus estimate: x, y (m), turn (rad).
     residual: Vector3<f64>,
     newest: Option<Stamp>,
-    /// First reading after a fault.
+    /// First reading of stuck encoders that moves again.
     returned: Option<Stamp>,
     /// Last time that the filter was tried without encoders that stand, or found them not stuck.
     tried: Option<Stamp>,
@@ -114,8 +105,8 @@ impl EncoderTrust {
         self.suspended.map(|(_, cause)| cause)
     }
 
-    /// Suspends the encoders at a reading; suspended ones keep their cause. `returns`: the reading
-    /// returns from a fault that was not noticed.
+    /// Suspends the encoders at a reading; suspended ones keep their cause. `returns`: they were
+    /// stuck unnoticed, and move again.
     pub fn suspend(&mut self, at: Stamp, cause: Cause, returns: bool) {
         self.suspended.get_or_insert((at, cause));
         self.returned = returns.then_some(at);
@@ -130,7 +121,7 @@ impl EncoderTrust {
         let disagrees = match cause {
             Cause::Stuck => self.stuck_since.is_none_or(|since| lasts(since) < STUCK_CONFIRMED),
             Cause::Unstuck => true,
-            Cause::Contradiction | Cause::Leap => lasts(since) > DISAGREES,
+            Cause::Contradiction => lasts(since) > DISAGREES,
         };
         disagrees.then_some(self.residual)
     }
@@ -157,8 +148,6 @@ impl EncoderTrust {
         } else if *cause == Cause::Stuck {
             *cause = Cause::Unstuck;
             self.returned = seen.moves_on.then_some(at);
-        } else if let Some(returns) = seen.leap {
-            self.returned = returns.then_some(at);
         }
         let stuck = *cause == Cause::Stuck;
         if nis < CONSISTENT_NIS {
@@ -168,11 +157,7 @@ impl EncoderTrust {
             (self.consistent, self.consistent_since) = (0, None);
         }
         let lasts = self.consistent_since.map_or(0.0, |since| at.seconds_since(since));
-        let due = match (seen.standing, seen.axis_stands) {
-            (true, _) => UNCHANGED,
-            (false, true) => PASSED,
-            (false, false) => 0.0,
-        };
+        let due = if seen.standing { UNCHANGED } else { 0.0 };
         let returned = !seen.axis_stopped
             && self.returned.is_some_and(|since| at.seconds_since(since) > RETURNED);
         if self.consistent >= CONSISTENT && lasts > due {
@@ -207,12 +192,11 @@ impl EncoderTrust {
         self.tried = Some(at);
     }
 
-    /// Trusts encoders again that have not leapt, where images contradict the prediction without
-    /// them as well: something else is wrong. Returns whether it does.
+    /// Trusts encoders again where images contradict the prediction without them as well: something
+    /// else is wrong. Returns whether it does.
     pub fn restore_after_contradiction(&mut self, at: Stamp) -> bool {
-        let suspected = self.suspended.is_some_and(|(since, cause)| {
-            cause != Cause::Leap && at.seconds_since(since) > EXPLAINED
-        });
+        let suspected =
+            self.suspended.is_some_and(|(since, _)| at.seconds_since(since) > EXPLAINED);
         if suspected {
             self.tried = Some(at);
             self.reset();
@@ -225,14 +209,8 @@ impl EncoderTrust {
 mod tests {
     use super::*;
 
-    const STRANGE: EncoderEvidence = EncoderEvidence {
-        standing: false,
-        axis_stands: false,
-        axis_stopped: false,
-        moves: false,
-        moves_on: false,
-        leap: None,
-    };
+    const STRANGE: EncoderEvidence =
+        EncoderEvidence { standing: false, axis_stopped: false, moves: false, moves_on: false };
     const RETURNS: EncoderEvidence = EncoderEvidence { moves_on: true, ..STRANGE };
     const STANDS: EncoderEvidence = EncoderEvidence { standing: true, ..STRANGE };
     const STUCK: EncoderEvidence = EncoderEvidence { moves: true, ..STANDS };
@@ -269,42 +247,35 @@ mod tests {
         assert_eq!(moving.judge(at(400), 1e6, &off, STUCK, 3.0), Verdict::Exclude);
         assert_eq!(moving.judge(at(4000), 1e6, &off, STANDS, 3.0), Verdict::Exclude);
         // Readings that return from a fault and move are adopted early, those of a reset are not.
-        let first_adopted = |returns: bool, leaps: &[(i64, bool)], stands: i64| {
+        let first_adopted = |returns: bool, stands: i64| {
             let mut trust = EncoderTrust::default();
-            trust.suspend(at(0), Cause::Leap, returns);
+            trust.suspend(at(0), Cause::Contradiction, returns);
             (1..200).map(|k| 20 * k).find(|&ms| {
-                let leap = leaps.iter().find(|(at, _)| *at == ms).map(|(_, returns)| *returns);
-                let seen = EncoderEvidence { standing: ms > stands, leap, ..STRANGE };
+                let seen = EncoderEvidence { standing: ms > stands, ..STRANGE };
                 trust.judge(at(ms), 500.0, &off, seen, 3.0) == Verdict::Adopt
             })
         };
-        assert_eq!(first_adopted(true, &[], 9000), Some(220));
-        assert_eq!(first_adopted(true, &[], 60), Some(3020), "set while the climber stood");
-        assert_eq!(first_adopted(false, &[(1000, true)], 9000), Some(1220));
-        let alternating: Vec<_> = (1..100).map(|k| (40 * k, k % 2 == 0)).collect();
-        assert_eq!(first_adopted(false, &alternating, 9000), Some(3020));
+        assert_eq!(first_adopted(true, 9000), Some(220));
+        assert_eq!(first_adopted(true, 60), Some(3020), "set while the climber stood");
+        assert_eq!(first_adopted(false, 9000), Some(3020));
         // Stuck readings are never adopted; those that move again are right.
         assert_eq!(trust.judge(at(9000), 1e6, &off, STANDS, 3.0), Verdict::Exclude);
         let mut unclear = trust.clone();
         assert_eq!(unclear.judge(at(9020), 1e6, &off, STRANGE, 30.0), Verdict::Exclude);
         assert_eq!(unclear.judge(at(9240), 1e6, &off, STRANGE, 30.0), Verdict::Exclude);
         assert_eq!(trust.judge(at(9020), 1e6, &off, RETURNS, 30.0), Verdict::Exclude);
-        // Not while an axis stands that moved before; one at rest (a drive along one rail)
-        // is right.
-        let stopped = EncoderEvidence { axis_stands: true, axis_stopped: true, ..STRANGE };
+        // Not while an axis stands that moved before.
+        let stopped = EncoderEvidence { axis_stopped: true, ..STRANGE };
         assert_eq!(trust.judge(at(9230), 1e6, &off, stopped, 30.0), Verdict::Exclude);
-        let resting = EncoderEvidence { axis_stands: true, ..STRANGE };
-        assert_eq!(trust.judge(at(9240), 1e6, &off, resting, 30.0), Verdict::Adopt);
-        // What contradicts without them as well is not theirs, unless they have leapt.
-        for (cause, restored) in
-            [(Cause::Contradiction, true), (Cause::Stuck, true), (Cause::Leap, false)]
-        {
+        assert_eq!(trust.judge(at(9240), 1e6, &off, STRANGE, 30.0), Verdict::Adopt);
+        // What contradicts without them as well is not theirs.
+        for cause in [Cause::Contradiction, Cause::Stuck] {
             let mut suspect = EncoderTrust::default();
             suspect.suspend(at(5000), cause, false);
             assert!(!suspect.restore_after_contradiction(at(5100)));
-            assert_eq!(suspect.restore_after_contradiction(at(5300)), restored);
+            assert!(suspect.restore_after_contradiction(at(5300)));
             assert!(!suspect.may_suspect(at(5200), at(5400)));
-            assert_eq!(suspect.may_suspect(at(5350), at(5400)), restored);
+            assert!(suspect.may_suspect(at(5350), at(5400)));
         }
         // Readings that stand are tried without once.
         assert!(trust.may_suspect(at(9500), at(10_000)));

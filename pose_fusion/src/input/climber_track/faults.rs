@@ -86,20 +86,6 @@ impl ClimberTrack {
         pairs.filter(|(a, b)| near(&a.0) || near(&b.0)).any(|(a, b)| !is_in_reach(b, a, LEAP))
     }
 
-    /// Returns whether the reading at `stamp` leaps, and if so, whether to where a climber can have
-    /// moved to since the leap before.
-    pub fn leap_at(&self, stamp: Stamp) -> Option<bool> {
-        let place = self.place_of(stamp);
-        let reading = self.readings.get(place)?;
-        let before = |k: usize| self.readings.get(place.checked_sub(k)?);
-        if is_in_reach(reading, before(1)?, LEAP) {
-            return None;
-        }
-        let pairs = (1..place).filter_map(|k| Some((before(k + 1)?, before(k)?)));
-        let last = pairs.into_iter().find(|(a, b)| !is_in_reach(b, a, LEAP));
-        Some(last.is_some_and(|(anchor, _)| is_in_reach(reading, anchor, LEAP)))
-    }
-
     /// Returns whether the newest readings leap.
     pub fn leaps_now(&self) -> bool {
         self.readings.back().is_some_and(|(newest, _, _)| self.leaps_near(*newest))
@@ -218,20 +204,6 @@ mod tests {
         assert_eq!(leaps(&|t| fast(t) + Vector3::x() * wrong(t)), (37..=63).collect::<Vec<_>>());
         let step = |t: f64| if t > 0.99 { 0.5 } else { 0.0 };
         assert_eq!(leaps(&|t| fast(t) + Vector3::z() * step(t)), (37..=62).collect::<Vec<_>>());
-    }
-
-    #[test]
-    fn a_leap_back_is_distinguished_from_a_leap_away() {
-        // 0.3 m/s, off by `off` from 0.5 s until 1.5 s and by `after` from then on.
-        let leaps = |off: f64, after: f64| {
-            let track = track(100, |t| {
-                let wrong = [0.0, off, after][usize::from(t > 0.49) + usize::from(t > 1.49)];
-                Vector3::new(0.3 * t + wrong, 0.0, 0.0)
-            });
-            [0.48, 0.5, 0.52, 1.5, 1.52].map(|t| track.leap_at(START.plus_seconds(t)))
-        };
-        assert_eq!(leaps(10.0, 0.0), [None, Some(false), None, Some(true), None]);
-        assert_eq!(leaps(10.0, 5.0), [None, Some(false), None, Some(false), None]);
     }
 
     #[test]
