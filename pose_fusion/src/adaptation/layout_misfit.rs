@@ -7,11 +7,9 @@ use crate::measurements::markers::Offsets;
 /// Memory, and fewest images before the mean counts: one second, and half a second of most cameras.
 const MEMORY: f64 = 30.0;
 const FEWEST: f64 = 15.0;
-/// Images after which a layout that they did not contradict is confirmed: three seconds.
+/// Images after which a layout that they did not contradict counts as right, three seconds: what
+/// contradicts it later is a false marker.
 const LAYOUT_CONFIRMED: f64 = 90.0;
-/// A confirmed layout must be contradicted by this many images in a row, five seconds, by more than
-/// twice [`MISFIT`]: a false marker is beside its place for a shorter time.
-const REFUTED: u32 = 150;
 /// Mean misfit that is an error of the layout, each axis, m; correct files have 0.15 mm at most.
 const MISFIT: f64 = 0.25e-3;
 /// Largest misfit of a layout measured by hand, m; a larger one is that of a false marker.
@@ -30,8 +28,6 @@ pub struct LayoutMisfit {
     square: f64,
     /// Images in the mean.
     count: f64,
-    /// Images in a row that contradict a confirmed layout.
-    contrary: u32,
     /// Sigma of the markers' places, each axis, m, by images that contradict them; until used.
     pub doubt: Option<f64>,
 }
@@ -45,16 +41,14 @@ impl LayoutMisfit {
     /// Adds an image of four markers. Returns the standard deviation of the markers' places, each
     /// axis, m, where the images contradict the layout.
     pub fn add(&mut self, misfit: &Offsets) -> Option<f64> {
-        let own = sigma(misfit)?;
+        sigma(misfit)?;
         self.count += 1.0;
         let weight = (1.0 / self.count).max(1.0 / MEMORY);
         self.mean += (misfit - self.mean) * weight;
         self.square += (misfit.norm_squared() - self.square) * weight;
         let mean = self.mean.norm_squared();
         let lasts = mean > LASTING * (self.square - mean) * weight;
-        self.contrary = if own > 2.0 * MISFIT { self.contrary + 1 } else { 0 };
-        let confirmed = self.count > LAYOUT_CONFIRMED;
-        let due = if confirmed { self.contrary >= REFUTED } else { self.count >= FEWEST };
+        let due = (FEWEST..LAYOUT_CONFIRMED).contains(&self.count);
         let found = sigma(&self.mean).filter(|sigma| due && lasts && *sigma > MISFIT);
         if found.is_some() {
             *self = Self { doubt: found, ..Self::default() };
@@ -75,11 +69,9 @@ mod tests {
         let found = (0..30).find_map(|k| misfit.add(&(noise(k) + off)));
         assert!(found.is_some_and(|sigma| (2.5e-4..1.5e-3).contains(&sigma)), "{found:?}");
         assert!((0..300).all(|k| misfit.add(&noise(k)).is_none()));
-        // A confirmed layout: a false marker for two seconds, and a marker that was moved.
+        // Beside a confirmed layout it is a false marker.
         let moved = Offsets::repeat(1e-3);
-        assert!((0..60).all(|k| misfit.add(&(noise(k) + moved)).is_none()));
-        assert!((0..60).all(|k| misfit.add(&noise(k)).is_none()));
-        assert!((0..200).any(|k| misfit.add(&(noise(k) + moved)).is_some()));
+        assert!((0..200).all(|k| misfit.add(&(noise(k) + moved)).is_none()));
         // Noise as large as a layout's error, from the first image on.
         let mut noisy = LayoutMisfit::default();
         assert!((0..80).all(|k| noisy.add(&(noise(k) * 6.0)).is_none()));
