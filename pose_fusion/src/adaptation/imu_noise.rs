@@ -14,9 +14,8 @@ const MEMORY: f64 = 100.0;
 const FEWEST: f64 = 15.0;
 /// Fewest blocks before their changes count.
 const FEWEST_CHANGES: f64 = 4.0;
-/// Memory of the changes, differences, and the share of a single one that counts at once.
+/// Memory of the changes, differences.
 const CHANGE_MEMORY: f64 = 50.0;
-const SETS_OFF: f64 = 0.2;
 /// An estimate within this factor of the rig file's density confirms it: it scatters by a fifth.
 const CONFIRMED: f64 = 1.5;
 /// Largest factor by which the identified noise may exceed the rig file's density.
@@ -179,10 +178,9 @@ impl Differences {
             mean + (square - mean) / weight
         });
         let first = squares(|of| of(&d) - of(&c), 3.0);
-        // A platform that sets off after a rest changes more than it did.
-        self.change = self.change.zip(&first, |mean, newest| {
-            (mean + (newest - mean) / weight.min(CHANGE_MEMORY)).max(SETS_OFF * newest)
-        });
+        self.change = self
+            .change
+            .zip(&first, |mean, newest| mean + (newest - mean) / weight.min(CHANGE_MEMORY));
     }
 }
 

@@ -151,7 +151,7 @@ impl Filter {
             state.set_sigma(TIME_OFFSET, (OFFSET_SIGMA[1] * found.sigma).max(OFFSET_SIGMA[0]));
         }
         if let Some(kept) = self.start.kept.take() {
-            carry_over(state, &kept, self.start.searches_again);
+            carry_over(state, &kept);
         }
     }
 
@@ -375,7 +375,7 @@ impl Filter {
         self.images.pixel_noise.raise(start.noise_factor, &PIXEL_NOISE);
         self.images.shake.interrupt(stamp, &start.record);
         let mut state = start.state;
-        carry_over(&mut state, &old, self.start.searches_again);
+        carry_over(&mut state, &old);
         state.climber_acceleration = old.climber_acceleration;
         self.monitor.initialized(stamp);
         self.publisher.warn(Warning::LockOutRecovered { since, stamp });
@@ -384,13 +384,12 @@ impl Filter {
     }
 }
 
-/// Takes over offset and biases of a former state; biases and a doubted offset count half.
-fn carry_over(state: &mut State, former: &State, offset_doubted: bool) {
+/// Takes over offset and biases of a former state; the biases count half.
+fn carry_over(state: &mut State, former: &State) {
     state.accelerometer_bias = former.accelerometer_bias;
     state.gyroscope_bias = former.gyroscope_bias;
     state.time_offset = former.time_offset;
-    let doubt = if offset_doubted { INFLATION } else { 1.0 };
-    state.set_sigma(TIME_OFFSET, doubt * former.sigma(TIME_OFFSET));
+    state.set_sigma(TIME_OFFSET, former.sigma(TIME_OFFSET));
     for first in [ACCELEROMETER_BIAS, GYROSCOPE_BIAS] {
         let sigmas = former.sigmas(first).map(|sigma| (INFLATION * sigma).max(BIAS_FLOOR));
         state.set_sigmas(first, &sigmas);

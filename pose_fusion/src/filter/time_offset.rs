@@ -8,7 +8,7 @@ use crate::{
     health::encoder_trust::Cause,
     initialization::{
         from_image,
-        time_offset::{ACCEPTED, FINAL, TimeOffset, TimeOffsetSearch, WINDOW},
+        time_offset::{FINAL, TimeOffset, TimeOffsetSearch, WINDOW},
     },
     input::imu::given,
     measurements::{marker_prediction::linearize, markers::Pixels},
@@ -22,8 +22,6 @@ use rig_model::{Stamp, planar_pose::PlanarPose};
 const OFFSET_LINEAR: f64 = 0.008;
 /// Smallest change of latency that restarts the filter, s; errors of the rig file look smaller.
 const CHANGED: f64 = 0.02;
-/// An offset is far off beyond this many `clock.camera_sigma`.
-const UNLIKELY: f64 = 2.0;
 /// A filter agrees with an alignment within this many sigma of both.
 const AGREES: f64 = 3.0;
 /// Sigmas of filter and alignment from which the filter restarts before the alignment is final.
@@ -36,9 +34,6 @@ const SETTLED: f64 = 2.5;
 const REOPENED: f64 = 0.005;
 /// Tilt by which aligned image poses may miss "up", rad: a swing within the unknown offset.
 const TILT: f64 = 0.1;
-/// Squared misfit of four markers from which they are noisier than they claim: χ² quantile
-/// (0.9999), 2 degrees of freedom.
-const LARGE_MISFIT: f64 = 18.42;
 /// An image further from its nearest encoder reading than this is not aligned, s.
 pub(super) const CLIMBER_NEAR: f64 = 0.05;
 
@@ -75,9 +70,6 @@ impl Filter {
             &given(&self.setup.rig.imu),
         );
         let found = found.map(|rest| TimeOffset { offset: middle + rest.offset, ..rest });
-        // One that is known roughly counts where the configuration is far off.
-        let far = UNLIKELY * self.setup.config.clock.camera_sigma;
-        let found = found.filter(|f| f.sigma < ACCEPTED || (offset - f.offset).abs() > far);
         if let Some(found) = found {
             let away = (self.time_offset() - found.offset).abs();
             let agrees = away < found.sigma;
@@ -189,14 +181,7 @@ impl Filter {
         let mut to_world = Matrix6::zeros();
         to_world.fixed_view_mut::<3, 3>(0, 0).copy_from(turn.matrix());
         to_world.fixed_view_mut::<3, 3>(3, 3).copy_from(turn.matrix());
-        let mut covariance = best.covariance;
-        let distance = best.camera_from_volant.translation.z / geometry.camera.focal_lengths().x;
-        for (axis, variance) in self.shake_variance().iter().enumerate() {
-            covariance[(axis, axis)] += variance * distance * distance;
-        }
-        // Markers that contradict each other are noisier than they claim.
-        let misfit = (best.pixel_cost / LARGE_MISFIT).max(1.0);
-        let mut covariance = to_world * covariance * to_world.transpose() * misfit;
+        let mut covariance = to_world * best.covariance * to_world.transpose();
         let noise = climber.noise + climber.growth;
         for axis in 0..2 {
             covariance[(axis, axis)] += noise[axis] * noise[axis];

@@ -21,21 +21,14 @@ pub(super) const CANDIDATES: usize = 61;
 const SMALLEST_BIAS: f64 = 1e-6;
 /// Fewest images of an alignment.
 pub(super) const FEWEST: usize = 12;
-/// Largest standard deviation of an offset that is known, s, …
-pub const ACCEPTED: f64 = 0.010;
-/// … and of one that is known roughly.
-const ROUGH: f64 = 0.030;
-/// That takes a window of this share of its length.
-const FULL: f64 = 0.95;
+/// Largest standard deviation of an offset that is known, s.
+pub(super) const ACCEPTED: f64 = 0.010;
 /// Every other candidate further away than this, s …
 const APART: f64 = 0.02;
 /// … must fit worse by this (χ²).
 const REFUTED: f64 = 16.0;
 /// Largest χ² per degree of freedom of an alignment that means anything.
 pub(super) const LARGEST: f64 = 1.2;
-/// χ² per degree of freedom of an alignment that refutes its model: tilts of single images far
-/// away are not normally distributed, and leave up to 2.6.
-const BAD: f64 = 4.0;
 /// Smallest χ² per degree of freedom that is accepted: the poses' own covariances are cautious.
 const SMALLEST: f64 = 0.6;
 /// Uncertainty of the initial velocity, m/s, and attitude, rad.
@@ -96,7 +89,7 @@ impl Aligned {
     pub(super) fn refutes(&self, offset: f64) -> bool {
         let index = ((offset + REACH) / STEP).round();
         let cost = self.costs.get(index as usize).copied().unwrap_or(f64::INFINITY);
-        self.scale > BAD || cost > REFUTED
+        cost > REFUTED
     }
 }
 
@@ -133,9 +126,7 @@ pub(super) fn align(
     });
     let sigma = (2.0 * unit / curvature).sqrt();
     let refuted = others_are_refuted(&costs, 0.0, offset, sigma);
-    let span = alignment.span();
-    let largest = if span > FULL * WINDOW { ROUGH } else { ACCEPTED };
-    let known = curvature > 0.0 && sigma < largest && refuted && offset.abs() < REACH - EDGE;
+    let known = curvature > 0.0 && sigma < ACCEPTED && refuted && offset.abs() < REACH - EDGE;
     Some(Aligned {
         found: (known && scale < LARGEST).then_some(TimeOffset { offset, sigma }),
         biases: best.biases,
@@ -203,12 +194,6 @@ impl Alignment<'_> {
     /// Cost of every candidate.
     fn costs(&self) -> [Option<Cost>; CANDIDATES] {
         std::array::from_fn(|i| self.cost(candidate(i)))
-    }
-
-    /// Time from the first image to the last, s.
-    fn span(&self) -> f64 {
-        let ends = self.poses.last().zip(self.poses.first());
-        ends.map_or(0.0, |(last, first)| last.stamp.seconds_since(first.stamp))
     }
 
     /// Images that the readings reach with an offset and those a step beside it; none where they

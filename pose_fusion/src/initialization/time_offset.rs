@@ -2,7 +2,7 @@
 //! (`alignment.rs`) until the offset is known, with the sum of several windows (`windows.rs`) where
 //! one does not suffice. Equations: `docs/src/equations.md`, "Initialization".
 
-pub use super::alignment::{ACCEPTED, REACH, TimeOffset, WINDOW};
+pub use super::alignment::{REACH, TimeOffset, WINDOW};
 use super::{
     alignment::{FEWEST, VisualPose, align},
     windows::Windows,
@@ -105,11 +105,9 @@ impl TimeOffsetSearch {
         newest.zip(self.agrees_since).map_or(0.0, |(newest, since)| newest.seconds_since(since))
     }
 
-    /// Returns the offset once its standard deviation is below 10 ms ([`ACCEPTED`]), or below 30 ms
-    /// where the image poses span a whole [`WINDOW`]: the caller uses such a rough offset only
-    /// where it is far from the estimated one. Aligns after every third image only. `gravity` is in
-    /// m/s²; `noise` are the IMU's densities, `given` those of the rig file. `estimated` is the
-    /// offset that the filter estimates, s.
+    /// Returns the offset once its standard deviation is below 10 ms. Aligns after every third image
+    /// only. `gravity` is in m/s²; `noise` are the IMU's densities, `given` those of the rig file.
+    /// `estimated` is the offset that the filter estimates, s.
     pub fn find(
         &mut self,
         estimated: f64,
