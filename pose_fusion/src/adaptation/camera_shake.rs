@@ -190,7 +190,7 @@ mod tests {
                 used: 4,
                 misfit: None,
                 against_prediction: None,
-                with_free_turn: f64::NAN,
+                with_free_climber: [f64::NAN; 3],
                 mean_variance: Vector2::repeat(CLAIMED),
                 left: residuals.map(|residual| residual - mean * 0.5),
                 evidence: Default::default(),

@@ -252,7 +252,10 @@ impl Filter {
             self.publisher.warn(Warning::EncodersSuspended { stamp: at, distance_m, turn_rad });
         }
         let read = self.read_at(place).unwrap_or(at);
-        self.trust.suspend(at, Cause::Contradiction, self.climber.moves_on(read));
+        let returns = self.climber.moves_on(read);
+        let leaps = returns || self.climber.leaps_near(read);
+        let cause = if leaps { Cause::Leap } else { Cause::Contradiction };
+        self.trust.suspend(at, cause, returns);
     }
 
     /// Excludes the readings from an instant of the IMU's time line on, and processes it again.

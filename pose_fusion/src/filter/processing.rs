@@ -236,7 +236,7 @@ impl Filter {
         if let Some(since) = since.filter(|_| is_shock && agrees && !excused && settled) {
             let read = at.plus_seconds(-self.encoder_offset());
             let [.., turn] = self.climber.may_have_stuck(read);
-            let turn = turn.filter(|_| record.with_free_turn < SHOCK_NIS);
+            let turn = turn.filter(|_| record.with_free_climber[2] < SHOCK_NIS);
             if let Some(stood) = turn
                 && self.offset_doubt() <= OFFSET_DOUBTED
                 && self.suspect_stuck([None, None, turn], stood, at)
@@ -317,8 +317,11 @@ impl Filter {
         // time offset is what they contradict.
         let known = self.offset_doubt() <= OFFSET_DOUBTED;
         let earliest = at.plus_seconds(-self.encoder_offset() - SUSPECT);
-        let stopped = self.climber.stopped_since();
-        let stopped = stopped.map(|since| since.filter(|since| known && *since > earliest));
+        let explaining = self.standing_that_explain(record);
+        let mut stopped = self.climber.stopped_since();
+        for (stopped, explains) in stopped.iter_mut().zip(explaining) {
+            *stopped = stopped.filter(|since| known && *since > earliest).or(explains);
+        }
         if let Some(since) = stopped.into_iter().flatten().min()
             && self.suspect_stuck(stopped, since, at)
         {
@@ -330,6 +333,17 @@ impl Filter {
         self.add_shock_noise(place, last_used, record);
         self.publisher.warn(Warning::Shock { since, stamp });
         false
+    }
+
+    /// Returns since when each axis of the climber has stood whose motion alone explains an image,
+    /// while another axis moves: its encoder may be stuck.
+    fn standing_that_explain(&self, record: &ImageInnovation) -> [Option<Stamp>; 3] {
+        let (standing, since) = (self.climber.standing(), self.climber.standing_since());
+        let known = self.offset_doubt() <= OFFSET_DOUBTED && standing != [true; 3];
+        std::array::from_fn(|i| {
+            let explains = known && standing[i] && record.with_free_climber[i] < SHOCK_NIS;
+            since[i].filter(|_| explains)
+        })
     }
 
     /// Re-propagates since the last used image with the noise of a shock that explains residuals.

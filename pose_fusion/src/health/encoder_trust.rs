@@ -51,6 +51,8 @@ pub enum Verdict {
 pub enum Cause {
     /// They and the estimate contradict each other; which of the two is wrong is not known.
     Contradiction,
+    /// Their readings leapt further than a climber moves.
+    Leap,
     /// They were stuck and move again: wrong until they are adopted or consistent.
     Unstuck,
     /// They are stuck while the climber drives: the estimate is right.
@@ -121,7 +123,7 @@ impl EncoderTrust {
         let disagrees = match cause {
             Cause::Stuck => self.stuck_since.is_none_or(|since| lasts(since) < STUCK_CONFIRMED),
             Cause::Unstuck => true,
-            Cause::Contradiction => lasts(since) > DISAGREES,
+            Cause::Contradiction | Cause::Leap => lasts(since) > DISAGREES,
         };
         disagrees.then_some(self.residual)
     }
@@ -192,11 +194,12 @@ impl EncoderTrust {
         self.tried = Some(at);
     }
 
-    /// Trusts encoders again where images contradict the prediction without them as well: something
-    /// else is wrong. Returns whether it does.
+    /// Trusts encoders again that have not leapt, where images contradict the prediction without
+    /// them as well: something else is wrong. Returns whether it does.
     pub fn restore_after_contradiction(&mut self, at: Stamp) -> bool {
-        let suspected =
-            self.suspended.is_some_and(|(since, _)| at.seconds_since(since) > EXPLAINED);
+        let suspected = self.suspended.is_some_and(|(since, cause)| {
+            cause != Cause::Leap && at.seconds_since(since) > EXPLAINED
+        });
         if suspected {
             self.tried = Some(at);
             self.reset();
@@ -268,14 +271,16 @@ mod tests {
         let stopped = EncoderEvidence { axis_stopped: true, ..STRANGE };
         assert_eq!(trust.judge(at(9230), 1e6, &off, stopped, 30.0), Verdict::Exclude);
         assert_eq!(trust.judge(at(9240), 1e6, &off, STRANGE, 30.0), Verdict::Adopt);
-        // What contradicts without them as well is not theirs.
-        for cause in [Cause::Contradiction, Cause::Stuck] {
+        // What contradicts without them as well is not theirs, unless they have leapt.
+        for (cause, restored) in
+            [(Cause::Contradiction, true), (Cause::Stuck, true), (Cause::Leap, false)]
+        {
             let mut suspect = EncoderTrust::default();
             suspect.suspend(at(5000), cause, false);
             assert!(!suspect.restore_after_contradiction(at(5100)));
-            assert!(suspect.restore_after_contradiction(at(5300)));
+            assert_eq!(suspect.restore_after_contradiction(at(5300)), restored);
             assert!(!suspect.may_suspect(at(5200), at(5400)));
-            assert!(suspect.may_suspect(at(5350), at(5400)));
+            assert_eq!(suspect.may_suspect(at(5350), at(5400)), restored);
         }
         // Readings that stand are tried without once.
         assert!(trust.may_suspect(at(9500), at(10_000)));

@@ -124,8 +124,8 @@ pub struct ImageInnovation {
     pub misfit: Option<Misfit>,
     /// NIS of four detected markers of which not all are used (8 degrees of freedom).
     pub against_prediction: Option<f64>,
-    /// NIS of all detected markers that is left where the climber's turn is free.
-    pub with_free_turn: f64,
+    /// NIS of all detected markers that is left where x, y or turn of the climber is free.
+    pub with_free_climber: [f64; 3],
     /// Variance of the mean marker without the shake of the camera, x and y of the image, px².
     pub mean_variance: Vector2<f64>,
     /// What the correction leaves of each marker's residual, px; NaN where there is none.
@@ -159,7 +159,7 @@ pub fn update(
         used: 0,
         misfit: None,
         against_prediction: None,
-        with_free_turn: f64::NAN,
+        with_free_climber: [f64::NAN; 3],
         mean_variance: Vector2::zeros(),
         left: [Vector2::repeat(f64::NAN); 4],
         evidence: ImageEvidence::default(),
@@ -213,9 +213,10 @@ pub fn update(
         let weighted = cholesky.solve(&linear.residual);
         let nis = linear.residual.dot(&weighted);
         record.against_prediction = record.misfit.map(|_| nis).filter(|_| count(&chosen) < 4);
-        let by_turn = linear.jacobian.column(8).into_owned();
-        let explained = by_turn.dot(&weighted).powi(2) / by_turn.dot(&cholesky.solve(&by_turn));
-        record.with_free_turn = nis - explained;
+        record.with_free_climber = std::array::from_fn(|axis| {
+            let by_axis = linear.jacobian.column(6 + axis).into_owned();
+            nis - by_axis.dot(&weighted).powi(2) / by_axis.dot(&cholesky.solve(&by_axis))
+        });
     }
     let Some((_, solution)) = best else { return record };
     record.used = count(&chosen) as u32;
@@ -344,6 +345,18 @@ pub(super) mod tests {
                 (moved[i] - claimed[i]).abs() < 0.1 * moved.fixed_rows::<9>(0).amax(),
                 "{moved}{claimed}"
             );
+        }
+    }
+
+    #[test]
+    fn a_climber_that_has_moved_along_an_axis_explains_an_image_by_that_axis() {
+        for axis in 0..3 {
+            let (mut state, geometry, image) = example();
+            state.climber[axis] += 0.02;
+            let record = update(&mut state, &geometry, &image, &READING, GATE, 9.81, false);
+            for (i, left) in record.with_free_climber.into_iter().enumerate() {
+                assert_eq!(left < 1.0, i == axis, "{axis} {i}: {left}");
+            }
         }
     }
 
