@@ -38,9 +38,14 @@ fn exceeds(name: &str, perturbation: &Perturbation) -> bool {
         CameraMounting(_) | FocalLength(_) | Layout(_) => true,
         EncoderScale(_) => matches!(name, "nominal" | "occlude_two" | "clutter"),
         AccelerometerScale(_) => name == "fast_swing",
-        EncoderDelay(delay) => name == "real_fast" || name == "real_tapping" && *delay < 0.3,
+        EncoderDelay(delay) => name == "real_fast" || name == "real_tapping" && *delay < 0.0,
         ImuStuck(_) => matches!(name, "nominal" | "real_tapping"),
-        EncoderFrozen(_) | AxisFrozen(_) | ImuZeros(_) | ImuSpike(_) | GyroSaturated(_)
+        AxisFrozen(0, _) => matches!(name, "fast_swing" | "real_slow" | "real_tapping"),
+        AxisFrozen(2, _) => matches!(name, "fast_swing" | "real_tapping"),
+        AllLost(_) => matches!(name, "occlude_two" | "real_tapping"),
+        // A step that is smaller than 20 ms looks like a jerk of the climber.
+        ClockStep(step) => *step < 0.02 && !matches!(name, "real_slow" | "real_fast"),
+        EncoderFrozen(_) | AxisFrozen(..) | ImuZeros(_) | ImuSpike(_) | GyroSaturated(_)
         | ImuLost(_) | EncodersLost(_) | ImagesLost(_) | ImuBursts(_) | Exchanged(_) => {
             name == "real_tapping"
         }
@@ -50,6 +55,7 @@ fn exceeds(name: &str, perturbation: &Perturbation) -> bool {
 
 #[test]
 fn one_perturbation_stays_within_its_bound() {
+    let mut other = Vec::new();
     for name in BAGS {
         let Some(bench) = bench(name) else { return };
         let base = bench.unchanged();
@@ -57,13 +63,12 @@ fn one_perturbation_stays_within_its_bound() {
         for perturbation in TABLE {
             let cell = bench.single(&perturbation);
             assert_eq!(cell.catastrophe, None, "{name}: {perturbation}");
-            assert!(
-                cell.failures.is_empty() != exceeds(name, &perturbation),
-                "{name}: {perturbation}: {:?}; `exceeds` lists what does not hold",
-                cell.failures
-            );
+            if cell.failures.is_empty() == exceeds(name, &perturbation) {
+                other.push(format!("{name}: {perturbation}: {:?}", cell.failures));
+            }
         }
     }
+    assert!(other.is_empty(), "`exceeds` lists what does not hold: {other:#?}");
 }
 
 /// Position RMSE from one second after a fault on, mm, where the filter has not found the camera's
@@ -103,7 +108,8 @@ fn encoders_that_get_stuck_at_any_time_do_not_take_the_pose_with_them() {
     for name in ["nominal", "occlude_two", "clutter", "fast_swing"] {
         let Some(recording) = recording(name) else { return };
         for from in [4.0, 5.0, 6.5, 8.0, 10.0] {
-            for perturbation in [Perturbation::EncoderFrozen(2.0), Perturbation::AxisFrozen(2.0)] {
+            for perturbation in [Perturbation::EncoderFrozen(2.0), Perturbation::AxisFrozen(1, 2.0)]
+            {
                 let mut changed = recording.clone();
                 perturbation.apply_from(from, &mut changed);
                 let scored = score::run(&changed, &FusionConfig::default());

@@ -38,8 +38,10 @@ pub enum Perturbation {
     EncoderOff(f64, f64),
     /// The encoders repeat their reading for this time, s.
     EncoderFrozen(f64),
-    /// The encoder of the y axis repeats its reading for this time, s.
-    AxisFrozen(f64),
+    /// The encoder of one axis (0: x, 1: y, 2: turn) repeats its reading for this time, s.
+    AxisFrozen(usize, f64),
+    /// The encoders' readings are off, each by another number, m (1 sigma).
+    EncoderNoise(f64),
     /// The IMU reads zero for this time, s.
     ImuZeros(f64),
     /// The IMU repeats its last values for this time, s.
@@ -54,6 +56,10 @@ pub enum Perturbation {
     EncodersLost(f64),
     /// No images for this time, s.
     ImagesLost(f64),
+    /// No input of any kind for this time, s.
+    AllLost(f64),
+    /// The clock of camera and encoders is ahead by this from [`PERTURBED_FROM`] on, s.
+    ClockStep(f64),
     /// The camera's and encoders' stamps are late by this, s.
     CameraDelay(f64),
     /// The images' stamps are off by up to this, each by another number, s.
@@ -70,7 +76,7 @@ pub enum Perturbation {
     Exchanged(f64),
 }
 
-pub const TABLE: [Perturbation; 39] = {
+pub const TABLE: [Perturbation; 46] = {
     use Perturbation::*;
     [
         GyroScale(0.002),
@@ -96,7 +102,10 @@ pub const TABLE: [Perturbation; 39] = {
         EncoderOff(1.0, 0.1),
         EncoderOff(10.0, 1.0),
         EncoderFrozen(2.0),
-        AxisFrozen(2.0),
+        AxisFrozen(0, 2.0),
+        AxisFrozen(1, 2.0),
+        AxisFrozen(2, 2.0),
+        EncoderNoise(0.003),
         ImuZeros(1.0),
         ImuStuck(1.0),
         ImuSpike(1000.0),
@@ -104,6 +113,10 @@ pub const TABLE: [Perturbation; 39] = {
         ImuLost(2.0),
         EncodersLost(2.0),
         ImagesLost(2.0),
+        AllLost(1.5),
+        ClockStep(0.015),
+        ClockStep(0.06),
+        ClockStep(0.2),
         CameraDelay(0.1),
         ImageJitter(0.005),
         CameraShake(0.3),
@@ -131,7 +144,10 @@ impl fmt::Display for Perturbation {
             Self::EncoderOff(x, t) if *t == 0.0 => write!(f, "one encoder reading {x} m off"),
             Self::EncoderOff(x, t) => write!(f, "encoders {x} m off for {t} s"),
             Self::EncoderFrozen(t) => write!(f, "encoders frozen {t} s"),
-            Self::AxisFrozen(t) => write!(f, "y encoder frozen {t} s"),
+            Self::AxisFrozen(axis, t) => {
+                write!(f, "{} encoder frozen {t} s", ["x", "y", "turn"][*axis])
+            }
+            Self::EncoderNoise(x) => write!(f, "encoder noise {:.0} mm", x * 1e3),
             Self::ImuZeros(t) => write!(f, "IMU zeros {t} s"),
             Self::ImuStuck(t) => write!(f, "IMU stuck {t} s"),
             Self::ImuSpike(x) => write!(f, "one IMU sample of {x} m/s²"),
@@ -139,6 +155,10 @@ impl fmt::Display for Perturbation {
             Self::ImuLost(t) => write!(f, "no IMU for {t} s"),
             Self::EncodersLost(t) => write!(f, "no encoders for {t} s"),
             Self::ImagesLost(t) => write!(f, "no images for {t} s"),
+            Self::AllLost(t) => write!(f, "no input for {t} s"),
+            Self::ClockStep(t) => {
+                write!(f, "clock of camera and encoders steps by {:+.0} ms", t * 1e3)
+            }
             Self::CameraDelay(t) => write!(f, "camera and encoder stamps {:+.0} ms", t * 1e3),
             Self::CameraShake(px) => write!(f, "camera shakes by {px} px"),
             Self::CameraVibration(px, hz) => write!(f, "camera vibrates by {px} px at {hz} Hz"),
@@ -156,7 +176,8 @@ impl Perturbation {
         match self {
             Self::EncoderOff(_, t)
             | Self::EncoderFrozen(t)
-            | Self::AxisFrozen(t)
+            | Self::AxisFrozen(_, t)
+            | Self::AllLost(t)
             | Self::Exchanged(t)
             | Self::ImuZeros(t)
             | Self::ImuStuck(t)
@@ -221,13 +242,25 @@ impl Perturbation {
                     }
                 });
             }
-            Self::AxisFrozen(_) => {
+            Self::AxisFrozen(axis, _) => {
                 let mut frozen = None;
                 each_climber(recording, |s| {
                     if within(s.stamp) {
-                        let y = &mut s.world_from_climber.translation.y;
-                        *y = *frozen.get_or_insert(*y);
+                        let held = frozen.get_or_insert(s.world_from_climber);
+                        if axis < 2 {
+                            let place = &mut s.world_from_climber.translation.vector;
+                            place[axis] = held.translation.vector[axis];
+                        } else {
+                            s.world_from_climber.rotation = held.rotation;
+                        }
                     }
+                });
+            }
+            Self::EncoderNoise(sigma) => {
+                let mut random = Random::fork(1, "encoders");
+                each_climber(recording, |s| {
+                    let off = Vector2::from_fn(|_, _| sigma * random.normal());
+                    s.world_from_climber.translation.vector += off.push(0.0);
                 });
             }
             Self::ImuZeros(_) => each_imu(recording, |s| {
@@ -262,6 +295,24 @@ impl Perturbation {
             Self::ImagesLost(_) => {
                 let lost = |i: &Input| matches!(i, Input::Markers(s) if within(s.stamp));
                 recording.inputs.retain(|(_, i)| !lost(i));
+            }
+            Self::AllLost(_) => {
+                let lost = |i: &Input| match i {
+                    Input::Imu(s) => within(s.stamp),
+                    Input::Climber(s) => within(s.stamp),
+                    Input::Markers(m) => within(m.stamp),
+                    Input::Camera(_) => false,
+                };
+                recording.inputs.retain(|(_, i)| !lost(i));
+            }
+            Self::ClockStep(x) => {
+                let step = |stamp: &mut Stamp| {
+                    if *stamp >= from {
+                        *stamp = stamp.plus_seconds(x);
+                    }
+                };
+                each_climber(recording, |s| step(&mut s.stamp));
+                each_image(recording, |m| step(&mut m.stamp));
             }
             Self::CameraDelay(x) => {
                 each_climber(recording, |s| s.stamp = s.stamp.plus_seconds(x));
