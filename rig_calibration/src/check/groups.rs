@@ -109,7 +109,7 @@ pub(crate) const GROUPS: [Group; 22] = [
         CARRIAGE.start,
         2,
         [0.005 * DEG, 0.5],
-        [0.03 * DEG, 0.06 * DEG],
+        [0.1 * DEG, 0.15 * DEG],
         ANGLE_BY_ACCELERATION,
     ),
 ];
@@ -129,10 +129,12 @@ impl Group {
 
     /// Cost that it must explain to count, in units of the noise. χ² of one degree of freedom
     /// exceeds 8 + 5 with a probability of 3e-4. Encoders count in steps, which are no white noise,
-    /// and a wrong camera position resembles the drift of an IMU: they must explain more.
+    /// and a wrong camera position resembles the drift of an IMU: they must explain more. The tilt
+    /// of a carriage that swings to and fro resembles several of the others together.
     pub fn least(&self) -> f64 {
         match self.cause {
             Cause::CameraPlace | Cause::RailX | Cause::RailY => 40.0,
+            Cause::Carriage => 200.0,
             _ => 8.0,
         }
     }
