@@ -136,8 +136,8 @@ pub struct Recording {
     pub climber: Vec<(f64, Vector3<f64>, f64)>,
 }
 
-/// Half widths of the windows of the weighted fits to the climber's samples, s: average the encoders'
-/// quantization.
+/// Half widths of the windows of the weighted fits to the climber's samples, s: they average the
+/// encoders' quantization.
 const CLIMBER_WINDOW: f64 = 0.2;
 const ACCELERATION_WINDOW: f64 = 0.35;
 

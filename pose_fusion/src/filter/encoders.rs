@@ -144,9 +144,9 @@ impl Filter {
         }
     }
 
-    /// Uses a reading of suspended encoders that move with a sigma as large as its residual: readings
-    /// that are late bound the drift of the climber. Axes that do not move are not used. All
-    /// readings within [`CORRELATED_FOR`] count as one.
+    /// Uses a reading of suspended encoders that move with a sigma as large as its residual:
+    /// readings that are late bound the drift of the climber. Axes that do not move are not used.
+    /// All readings within [`CORRELATED_FOR`] count as one.
     fn use_with_inflated_noise(
         &mut self,
         place: usize,

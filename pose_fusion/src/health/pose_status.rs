@@ -90,8 +90,8 @@ impl PoseStatus {
     }
 
     /// Fills in state, validity and reason from the ages and sigmas. `without_imu` is why the pose
-    /// comes from images alone and for how long it has, s, if it does; `unusable` is the state and the
-    /// reason of a pose that must not be used whatever its sigmas.
+    /// comes from images alone and for how long it has, s, if it does; `unusable` is the state and
+    /// the reason of a pose that must not be used whatever its sigmas.
     pub fn judged(
         mut self,
         config: &StatusConfig,
