@@ -357,7 +357,7 @@ impl FusionNode {
             }
             // Without a pose the timer publishes the status.
             Output::Status(s)
-                if s.state == PoseState::Initializing && s.image_age.is_infinite() => {}
+                if s.state == PoseState::Initializing && s.position_sigma.is_infinite() => {}
             Output::Status(s) => {
                 self.quiet = 0;
                 publishers.status.publish(messages::status(&s, frames));

@@ -248,7 +248,8 @@ impl Filter {
             return lost(CONTRADICTED_REASON.into());
         }
         if self.monitor.is_new() {
-            let due = image_age < NEXT_IMAGE;
+            // A restored pose has had none.
+            let due = image_age < NEXT_IMAGE || image_age.is_infinite();
             let state = if due { PoseState::Initializing } else { PoseState::Lost };
             return Some((state, NEW_REASON.into()));
         }

@@ -10,7 +10,7 @@ pub const NO_IMU_SAMPLE: &str = "no usable IMU sample";
 pub const CONTRADICTED_REASON: &str = "images contradict the IMU or the encoders: check units, \
                             signs, orientations and frames (`volant check` names the cause)";
 /// Reason of a pose that images have not confirmed yet.
-pub const NEW_REASON: &str = "initialized from one image, and not confirmed yet by those after it";
+pub const NEW_REASON: &str = "a new pose, which images have not confirmed yet";
 /// Reason of a pose without images that they contradicted shortly before.
 pub const UNCONFIRMED_REASON: &str =
     "no image used, and the last ones contradicted the IMU or the encoders";

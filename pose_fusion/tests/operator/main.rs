@@ -6,7 +6,7 @@ mod live;
 
 use common::{scoring, simulated};
 use nalgebra::Matrix6;
-use pose_fusion::{Fusion, FusionConfig, Input, PoseEstimate, Refusal};
+use pose_fusion::{Fusion, FusionConfig, Input, PoseEstimate, PoseState, Refusal};
 use rig_model::{MarkerColor, score::PoseError, topics};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
 
@@ -43,6 +43,12 @@ fn a_restored_checkpoint_continues_the_run() {
     assert!(score.position_rmse() < most, "restored {score}\nwent on  {reference}");
     assert!(!second.status().time_offset.searching);
     assert!((second.status().biases[0] - first.status().biases[0]).norm() < 0.01);
+    // Not lost while its first images are due, and valid once they agree with it.
+    let begin = outputs.odometry[0].stamp;
+    let valid = outputs.status.iter().find(|s| s.valid).map(|s| s.stamp.seconds_since(begin));
+    assert!(valid.is_some_and(|after| after < 0.4), "{valid:?}");
+    let lost = outputs.status.iter().filter(|s| s.state == PoseState::Lost).count();
+    assert_eq!(lost, 0);
 }
 
 #[test]
