@@ -1,7 +1,7 @@
 //! Configuration of the estimators: every number that is not in the rig file. Each row declares a
 //! ROS parameter of the node and the field that holds it.
 //!
-//! Standard deviations are 1 sigma. Each default names its origin.
+//! Standard deviations are 1 sigma.
 
 use ros_parameters::{choices, parameters};
 
@@ -77,8 +77,8 @@ parameters! {
     pub struct TightConfig {
         /// Gravity.
         gravity: f64 = 9.80665, unit("m/s^2"), range(9.0..=10.5);
-        /// How far back delayed measurements are accepted: the largest camera time offset and
-        /// 0.1 s.
+        /// How far back delayed measurements are accepted; at least the searched camera time offset
+        /// (0.3 s) and 0.1 s of latency.
         history: f64 = 0.6, unit("s"), range(0.4..=1.0);
         /// Velocity of a platform at rest for the zero-velocity update (1 sigma); 0 disables it.
         zero_velocity_sigma: f64 = 0.002, unit("m/s"), range(0.0..=1.0);
@@ -109,7 +109,7 @@ parameters! {
     /// Errors of the IMU.
     #[derive(PartialEq)]
     pub struct ImuConfig {
-        // MTx data sheet: 0.02; ten times that for a unit that is not calibrated.
+        // MTx data sheet: 0.02; ten times that for an IMU that is not calibrated.
         /// Initial accelerometer bias (1 sigma).
         accelerometer_bias: f64 = 0.2, unit("m/s^2"), range(0.0..=10.0),
             name("imu_bias.accelerometer");

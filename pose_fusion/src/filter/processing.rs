@@ -58,7 +58,8 @@ const CARRIED: f64 = 0.25;
 const OFFSET_WALK: f64 = 1e-4;
 /// Images that contradict for longer without encoder readings are a shock, s.
 const UNREAD: f64 = 1.0;
-/// The rope is compared from this time after the initialization on, s.
+/// Time after the initialization before errors of the rig file, rope, shocks and the stricter count
+/// of contradicting images are judged, s.
 const SETTLED: f64 = 2.0;
 
 impl Filter {

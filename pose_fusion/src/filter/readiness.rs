@@ -61,7 +61,7 @@ impl Filter {
                 topics::CLIMBER_TRANSFORM
             )
         } else if self.start.ambiguity.is_some() {
-            "three markers allow several poses: the fourth, or motion, will tell them apart"
+            "three markers allow several poses: waiting for the fourth marker or for motion"
                 .to_owned()
         } else {
             "no image with three markers that fit together".to_owned()

@@ -1,6 +1,6 @@
 //! Recovery where images contradict the prediction.
 //!
-//! An image contradicts where most of its markers are rejected. After `markers.lock_out_images` of
+//! An image contradicts where at least half of its detected markers are rejected. After `markers.lock_out_images` of
 //! them in a row the filter responds, with the mildest explanation first: encoders that stopped
 //! while the images see the climber drive on are suspended; else the platform was struck, and the
 //! time since the last used image is re-propagated with the process noise of a shock; shocks that

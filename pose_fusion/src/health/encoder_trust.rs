@@ -212,10 +212,10 @@ impl EncoderTrust {
 mod tests {
     use super::*;
 
-    const STRANGE: EncoderEvidence =
+    const CONTRADICTING: EncoderEvidence =
         EncoderEvidence { standing: false, axis_stopped: false, moves: false, moves_on: false };
-    const RETURNS: EncoderEvidence = EncoderEvidence { moves_on: true, ..STRANGE };
-    const STANDS: EncoderEvidence = EncoderEvidence { standing: true, ..STRANGE };
+    const RETURNS: EncoderEvidence = EncoderEvidence { moves_on: true, ..CONTRADICTING };
+    const STANDS: EncoderEvidence = EncoderEvidence { standing: true, ..CONTRADICTING };
     const STUCK: EncoderEvidence = EncoderEvidence { moves: true, ..STANDS };
 
     #[test]
@@ -224,10 +224,10 @@ mod tests {
         let off = Vector3::new(0.5, 0.0, 0.0);
         let mut trust = EncoderTrust::default();
         trust.suspend(at(0), Cause::Contradiction, false);
-        let verdicts =
-            [1.0, 1.0, 500.0, 1.0, 1.0].map(|nis| trust.judge(at(20), nis, &off, STRANGE, 3.0));
+        let verdicts = [1.0, 1.0, 500.0, 1.0, 1.0]
+            .map(|nis| trust.judge(at(20), nis, &off, CONTRADICTING, 3.0));
         assert_eq!(verdicts, [Verdict::Exclude; 5]);
-        assert_eq!(trust.judge(at(60), 1.0, &off, STRANGE, 3.0), Verdict::Resume);
+        assert_eq!(trust.judge(at(60), 1.0, &off, CONTRADICTING, 3.0), Verdict::Resume);
         assert!(!trust.is_suspended());
         trust.suspend(at(70), Cause::Contradiction, false);
         let stuck: Vec<Verdict> =
@@ -235,7 +235,7 @@ mod tests {
         assert_eq!(stuck.iter().position(|v| *v == Verdict::Resume), Some(51));
         trust.suspend(at(100), Cause::Contradiction, false);
         trust.suspend(at(2000), Cause::Contradiction, false);
-        assert_eq!(trust.judge(at(2100), 1e6, &off, STRANGE, 3.0), Verdict::Exclude);
+        assert_eq!(trust.judge(at(2100), 1e6, &off, CONTRADICTING, 3.0), Verdict::Exclude);
         assert_eq!(trust.disagreement(), Some(off));
         assert_eq!(trust.judge(at(2200), 1e6, &off, STUCK, 30.0), Verdict::Exclude);
         assert_eq!(trust.disagreement(), Some(off), "not confirmed yet");
@@ -254,7 +254,7 @@ mod tests {
             let mut trust = EncoderTrust::default();
             trust.suspend(at(0), Cause::Contradiction, returns);
             (1..200).map(|k| 20 * k).find(|&ms| {
-                let seen = EncoderEvidence { standing: ms > stands, ..STRANGE };
+                let seen = EncoderEvidence { standing: ms > stands, ..CONTRADICTING };
                 trust.judge(at(ms), 500.0, &off, seen, 3.0) == Verdict::Adopt
             })
         };
@@ -264,13 +264,13 @@ mod tests {
         // Stuck readings are never adopted; those that move again are right.
         assert_eq!(trust.judge(at(9000), 1e6, &off, STANDS, 3.0), Verdict::Exclude);
         let mut unclear = trust.clone();
-        assert_eq!(unclear.judge(at(9020), 1e6, &off, STRANGE, 30.0), Verdict::Exclude);
-        assert_eq!(unclear.judge(at(9240), 1e6, &off, STRANGE, 30.0), Verdict::Exclude);
+        assert_eq!(unclear.judge(at(9020), 1e6, &off, CONTRADICTING, 30.0), Verdict::Exclude);
+        assert_eq!(unclear.judge(at(9240), 1e6, &off, CONTRADICTING, 30.0), Verdict::Exclude);
         assert_eq!(trust.judge(at(9020), 1e6, &off, RETURNS, 30.0), Verdict::Exclude);
         // Not while an axis stands that moved before.
-        let stopped = EncoderEvidence { axis_stopped: true, ..STRANGE };
+        let stopped = EncoderEvidence { axis_stopped: true, ..CONTRADICTING };
         assert_eq!(trust.judge(at(9230), 1e6, &off, stopped, 30.0), Verdict::Exclude);
-        assert_eq!(trust.judge(at(9240), 1e6, &off, STRANGE, 30.0), Verdict::Adopt);
+        assert_eq!(trust.judge(at(9240), 1e6, &off, CONTRADICTING, 30.0), Verdict::Adopt);
         // What contradicts without them as well is not theirs, unless they have leapt.
         for (cause, restored) in
             [(Cause::Contradiction, true), (Cause::Stuck, true), (Cause::Leap, false)]

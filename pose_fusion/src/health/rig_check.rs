@@ -26,7 +26,7 @@ const MEAN_INNOVATION: f64 = 0.15;
 const CERTAIN: f64 = 5.0;
 /// Share of a marker's measurements that are rejected (0.006).
 const REJECTED: f64 = 0.05;
-/// Factor on the claimed pixel variance (1.0).
+/// Factor on the claimed pixel sigma (1.0).
 const PIXEL_NOISE: f64 = 1.5;
 /// Accelerometer bias, m/s² (0.10), and gyroscope bias, rad/s (0.02).
 const BIAS: [f64; 2] = [0.3, 0.06];
@@ -150,7 +150,7 @@ fn filter_findings(status: &Status, found: &mut Vec<String>) {
     let largest = |first: usize| status.constants.fixed_rows::<3>(first).amax();
     if status.pixel_noise_factor > PIXEL_NOISE {
         found.push(format!(
-            "the pixel variance is {:.1} times that claimed (`markers`, `camera_info`)",
+            "the pixel sigma is {:.1} times that claimed (`markers`, `camera_info`)",
             status.pixel_noise_factor
         ));
     }

@@ -1,9 +1,10 @@
 //! What images show of errors of the rig's files. The filter takes focal length, camera mounting,
 //! encoder scale, the offset of the encoders' stamps and the size of the marker layout as given.
-//! The sensitivity of its state to errors θ of these (`ekf/consider.rs`) tells how they show in the
+//! The sensitivity of its state to errors θ of these (`ekf/consider.rs`) gives their effect on the
 //! innovation of each image: `L⁻¹ r = B θ` and white noise of variance 1. Least squares over the
 //! last images give θ. It is never applied: errors that are certain and large widen the covariance
-//! and are reported. Equations: `docs/src/equations.md`, "Evidence of errors of the files".
+//! and are reported. Equations: `docs/src/equations.md`, "Detection of calibration
+//! errors from innovations".
 
 use crate::ekf::consider::{CLIMBER_OFFSET, FILE_ERRORS, FOCAL, FileErrors, MOUNTING, SIZE};
 use nalgebra::{Cholesky, SMatrix, SVector};

@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn a_jump_that_asks_for_forty_times_gravity_is_impossible_and_an_end_stop_is_not() {
+    fn a_jump_beyond_40_m_s2_is_impossible_and_an_end_stop_is_not() {
         let (state, mut reading) = example();
         reading.values.x = 0.3 + 1.0;
         assert!(is_impossible(&innovation(&state, &reading, 0.0), 0.04));

@@ -15,7 +15,7 @@ use crate::ekf::{
 
 /// Residual beyond which the projection is not linear: the misfit is found at the best pose, px.
 const FAR: f64 = 2.0;
-/// Largest number of linearizations; a best pose that is not found by then tells nothing.
+/// Largest number of linearizations; a best pose that is not found by then is not used.
 const ITERATIONS: usize = 4;
 
 /// What no pose explains of four markers.

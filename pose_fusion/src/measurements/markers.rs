@@ -229,10 +229,10 @@ pub fn update(
             let (gain, row) = (solution.root.column(k), solution.by_parameter.row(k));
             consider::correct(&mut state.sensitivity, &gain.into(), &row.transpose());
         }
-        let learned = state.calibration.correct(&solution.by_parameter, &solution.whitened);
-        let learned = consider::of_constants(&state.sensitivity) * learned;
-        state.add(&learned);
-        let moved = times_error(&linear.jacobian, &(solution.step + learned));
+        let constants_step = state.calibration.correct(&solution.by_parameter, &solution.whitened);
+        let constants_step = consider::of_constants(&state.sensitivity) * constants_step;
+        state.add(&constants_step);
+        let moved = times_error(&linear.jacobian, &(solution.step + constants_step));
         for (i, left) in record.left.iter_mut().enumerate() {
             *left -= moved.fixed_rows::<2>(2 * i);
         }

@@ -38,8 +38,8 @@ pub struct Arguments {
     /// Compression of the output
     #[arg(long, value_enum, default_value = "zstd")]
     compression: Compression,
-    /// Add volant/smoothed_odometry: fixed-interval smoothing, every estimate from all measurements
-    /// of the bag
+    /// Add volant/smoothed_odometry: smoothing, each estimate also from at least the 20 s of data
+    /// that follow it
     #[arg(long)]
     smooth: bool,
     /// Threads that decode images [default: number of cores]
