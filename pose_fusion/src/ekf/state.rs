@@ -190,6 +190,30 @@ impl State {
         self.sensitivity[(TIME_OFFSET_ERROR, TIME_OFFSET)] = 1.0;
     }
 
+    /// Adds an error of the climber along an axis (0: x, 1: y, 2: turn), 1 sigma in m or rad, and of
+    /// its rate, per s, with which the platform moves as well.
+    pub fn loosen_climber(&mut self, axis: usize, error: f64, rate: f64) {
+        let mut moved = SVector::<f64, 3>::zeros();
+        let mut carried = SVector::<f64, 3>::zeros();
+        if axis < 2 {
+            moved[axis] = 1.0;
+        } else {
+            carried.z = 1.0;
+            let arm = self.position - self.climber.xy().push(0.0);
+            moved = carried.cross(&arm);
+        }
+        for (first, climber, sigma) in [(POSITION, CLIMBER, error), (VELOCITY, CLIMBER_RATE, rate)]
+        {
+            let mut along = Error::zeros();
+            along.fixed_rows_mut::<3>(first).copy_from(&moved);
+            along[climber + axis] = 1.0;
+            if first == POSITION {
+                along.fixed_rows_mut::<3>(ATTITUDE).copy_from(&carried);
+            }
+            self.covariance += along * along.transpose() * (sigma * sigma);
+        }
+    }
+
     /// Sets the standard deviation of one entry and clears its correlations and sensitivities.
     pub fn set_sigma(&mut self, index: usize, sigma: f64) {
         self.covariance.row_mut(index).fill(0.0);
@@ -215,6 +239,27 @@ mod tests {
         let mut b = a.clone();
         b.add(&error);
         assert!((b.minus(&a) - error).norm() < 1e-12);
+    }
+
+    #[test]
+    fn a_loose_climber_takes_the_platform_with_it() {
+        for axis in 0..3 {
+            let mut state = State::zero();
+            state.position = Vector3::new(0.7, -0.2, 1.3);
+            state.climber = Vector3::new(0.5, 0.1, 0.0);
+            state.loosen_climber(axis, 0.3, 0.1);
+            // The platform as the camera sees it: beside the climber, about its axis.
+            let seen = |state: &State| {
+                let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -state.climber.z);
+                turn * (state.position - state.climber.xy().push(0.0))
+            };
+            let root = 1e-4 * state.covariance.fixed_view::<N, 3>(0, CLIMBER) / 0.3;
+            let mut moved = state.clone();
+            moved.add(&root.column(axis).into_owned());
+            assert!((seen(&moved) - seen(&state)).norm() < 1e-8, "{axis}");
+            assert!((state.sigma(CLIMBER + axis) - 0.3).abs() < 1e-12);
+            assert!((state.sigma(CLIMBER_RATE + axis) - 0.1).abs() < 1e-12);
+        }
     }
 
     #[test]

@@ -2,11 +2,12 @@
 
 use super::{Filter, time_offset::CLIMBER_NEAR};
 use crate::{
-    ekf::state::CLIMBER_RATE,
+    ekf::state::{ACCELEROMETER_BIAS, CLIMBER_RATE, GYROSCOPE_BIAS},
     health::{
         contradiction_monitor::SUSPECT,
         encoder_trust::{Cause, EncoderEvidence, Verdict},
     },
+    input::climber_track::SPEED,
     measurements::{
         Innovation,
         encoders::{self, CONTRADICTION},
@@ -14,6 +15,7 @@ use crate::{
     output::Warning,
     timeline::history::{Entry, Event},
 };
+use nalgebra::Vector3;
 use rig_model::Stamp;
 
 /// A disturbance of the climber began at most this many readings before the one that reveals it.
@@ -27,6 +29,8 @@ const MOVES: f64 = 5.0;
 const CALM: f64 = 0.2;
 /// Encoders are suspended that contradict although no reading has been used for this time, s.
 const UNUSED: f64 = 0.15;
+/// Images and IMU show within this time that a climber drives whose encoders are stuck, s.
+const LONGEST_UNSEEN: f64 = 5.0;
 /// Standard deviation of axes that are not measured, m and rad.
 const UNMEASURED: f64 = 1e3;
 /// Errors of their readings within this time are the same, s.
@@ -103,19 +107,21 @@ impl Filter {
 
     /// Judges a reading of encoders that are suspended. Returns whether the time line was replaced.
     fn judge_encoders(&mut self, place: usize, at: Stamp, innovation: &Innovation<3>) -> bool {
+        self.forget_stuck_readings();
         let timeout = self.setup.config.climber.step_timeout;
         let stands = self.climber.standing();
         let moves = self.history.get(place).is_some_and(|entry| {
             let sigmas = entry.state.sigmas(CLIMBER_RATE);
             (0..3).any(|i| stands[i] && entry.state.climber_rate[i].abs() > MOVES * sigmas[i])
-        });
-        let standing = moves || stands == [true; 3] || self.climber.may_be_stuck();
+        }) || self.trust.directions.unreported() != [false; 3];
+        let suspected = self.climber.may_be_stuck();
+        let standing = moves || stands == [true; 3] || suspected;
         let read = self.read_at(place).unwrap_or(at);
         let (moves_on, since) = (self.climber.moves_on(read), self.climber.standing_since());
         let suspended = self.trust.suspended_since().unwrap_or(at);
         let earliest = suspended.plus_seconds(-self.encoder_offset() - SUSPECT);
         let axis_stopped = (0..3).any(|i| stands[i] && since[i].is_some_and(|s| s > earliest));
-        let seen = EncoderEvidence { standing, axis_stopped, moves, moves_on };
+        let seen = EncoderEvidence { standing, axis_stopped, suspected, moves, moves_on };
         match self.trust.judge(at, innovation.nis, &innovation.residual, seen, timeout) {
             Verdict::Exclude => {
                 let moving = self.climber.moving();
@@ -154,10 +160,16 @@ impl Filter {
         moving: [bool; 3],
     ) {
         let count = self.climber.readings_in(CORRELATED_FOR);
+        let stuck = self.climber.may_be_stuck();
+        // Beside an axis that is stuck the others are right.
+        let right = Vector3::from_fn(|i, _| {
+            let nis = innovation.residual[i].powi(2) / innovation.covariance[(i, i)];
+            f64::from(u8::from(!(stuck && nis <= CONTRADICTION)))
+        });
         if let Some(entry) = self.history.get_mut(place)
             && let Event::Encoders { reading, excluded, .. } = &mut entry.event
         {
-            let mut sigmas = innovation.residual.abs();
+            let mut sigmas = innovation.residual.abs().component_mul(&right);
             (0..3).filter(|i| !moving[*i]).for_each(|i| sigmas[i] = UNMEASURED);
             reading.variance = reading.variance.sup(&(sigmas.component_mul(&sigmas) * count));
             *excluded = false;
@@ -171,10 +183,15 @@ impl Filter {
         let Some(Entry { stamp: at, state, .. }) = self.history.get(place) else { return false };
         let (at, rates, sigmas) = (*at, state.climber_rate, state.sigmas(CLIMBER_RATE));
         let read = at.plus_seconds(-self.encoder_offset());
-        let shown = self.images.climber_motion.is_shown();
+        let (shown, unreported) =
+            (self.images.climber_motion.is_shown(), self.trust.directions.unreported());
         let mut standing = self.climber.may_have_stuck(read);
+        let stands = self.climber.standing_since();
         for (i, since) in standing.iter_mut().enumerate() {
-            *since = since.filter(|_| shown[i] || rates[i].abs() > MOVES * sigmas[i]);
+            *since = match unreported[i] {
+                true => stands[i],
+                false => since.filter(|_| shown[i] || rates[i].abs() > MOVES * sigmas[i]),
+            };
         }
         let Some(since) = standing.into_iter().flatten().max() else { return false };
         let suspected = self.suspect_stuck(standing, since, at);
@@ -201,6 +218,9 @@ impl Filter {
         let suspected = calm && self.trust.may_suspect(from, at) && !self.is_without_imu();
         if suspected {
             self.climber.suspect_stuck(axes);
+            if self.history.get(0).is_some_and(|first| first.stamp > from) {
+                self.trust.followed = Some(axes);
+            }
             self.exclude_since(from);
             // What explained the images until then.
             self.images.model_error = Default::default();
@@ -212,6 +232,33 @@ impl Filter {
             self.trust.suspend(at, Cause::Contradiction, false);
         }
         suspected
+    }
+
+    /// Forgets what the state has followed of readings that were stuck for longer than the history
+    /// is, once images and IMU show that the climber moves: it may have moved on since then, and
+    /// the biases have explained that.
+    fn forget_stuck_readings(&mut self) {
+        if self.trust.directions.unreported() == [false; 3] {
+            return;
+        }
+        let Some(axes) = self.trust.followed.take() else { return };
+        let (offset, imu) = (self.encoder_offset(), &self.setup.config.imu);
+        let biases =
+            [(ACCELEROMETER_BIAS, imu.accelerometer_bias), (GYROSCOPE_BIAS, imu.gyroscope_bias)];
+        let Some(first) = self.history.get_mut(0) else { return };
+        for (i, since) in axes.into_iter().enumerate() {
+            if let Some(since) = since {
+                let stood = first.stamp.seconds_since(since.plus_seconds(offset));
+                let error = SPEED[i] * stood.clamp(0.0, LONGEST_UNSEEN);
+                first.state.loosen_climber(i, error, SPEED[i]);
+            }
+        }
+        for (bias, sigma) in biases {
+            for i in bias..bias + 3 {
+                first.state.covariance[(i, i)] += sigma * sigma;
+            }
+        }
+        self.history.rewind(0);
     }
 
     /// Compares the directions of the encoders with what images and IMU show of the climber, at the

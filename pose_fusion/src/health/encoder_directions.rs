@@ -39,6 +39,13 @@ const MISSED: [f64; 2] = [1.0, 0.5];
 /// Changes of velocity that no climber makes in a span, m/s: readings that leap.
 const LEAPS: f64 = 1.0;
 
+/// Memory of motion that an axis does not report, s, and its smallest sum of squares: rails,
+/// (m/s)² s; turn, rad² s.
+const RECENT: f64 = 1.0;
+const UNREPORTED: [f64; 2] = [0.002, 0.0007];
+/// Readings that differ by less repeat, m and rad.
+const EQUAL: f64 = 1e-6;
+
 /// Other directions of the rails, climber from encoders, row by row, and what they mean.
 const RAILS: [([f64; 4], &str); 7] = [
     ([-1.0, 0.0, 0.0, 1.0], "`rail_x` is reversed"),
@@ -128,6 +135,9 @@ pub struct EncoderDirections {
     squares: Matrix4<f64>,
     /// Sums of squares of the turn's changes minus and plus those of the encoders, rad² s.
     turn_misfits: [f64; 2],
+    /// Sums of squares over [`RECENT`] of what is shown of axes that repeat their readings: changes of
+    /// velocity beside their mean, (m/s)² s, and of the turn, rad² s.
+    unreported: Vector3<f64>,
     /// What explains the motion better, of the rails or [`TURNED`]; whether it is the only one.
     wrong: Option<(usize, bool)>,
 }
@@ -138,6 +148,14 @@ impl EncoderDirections {
         let (k, clear) = self.wrong?;
         let named = RAILS.get(k).map_or(TURN, |(_, text)| text);
         Some(if clear { named } else { UNCLEAR })
+    }
+
+    /// Returns for each axis whether it repeats its reading while images and IMU show that the
+    /// climber moves along it.
+    pub fn unreported(&self) -> [bool; 3] {
+        let [rails, turn] = UNREPORTED;
+        let [x, y, z] = self.unreported.into();
+        [x > rails, y > rails, z > turn]
     }
 
     /// Begins a new stretch of the time line: the next sample is not compared with those before.
@@ -157,6 +175,7 @@ impl EncoderDirections {
         let moved = self.newest.and_then(|newest| newest.to(history, place));
         if moved.is_none() {
             self.samples.clear();
+            self.unreported = Vector3::zeros();
         }
         let (attitude, climber_turn) = (state.attitude, state.climber.z);
         let newest = moved.unwrap_or(InertialTrack {
@@ -203,17 +222,31 @@ impl EncoderDirections {
         for (sum, sign) in self.turn_misfits.iter_mut().zip([1.0, -1.0]) {
             *sum = *sum * fade + (turn - sign * read).powi(2) * dt;
         }
+        let stood = (middle.read - last.read).map(|way| way.abs() < EQUAL);
+        self.add_unreported(2, stood.z, turn, dt);
         let read = self.change(&last, |s| s.read.xy());
         let shown = self.change(&last, |s| s.shown.xy());
         if let Some((read, shown)) = read.zip(shown)
             && read.amax() < LEAPS
         {
+            for i in 0..2 {
+                // A lasting difference is a bias or a tilt.
+                let mean = (self.sum[2 + i] - self.sum[i]) / self.seconds.max(NEAR);
+                let moved = if self.seconds > COMPARED { shown[i] - mean } else { 0.0 };
+                self.add_unreported(i, stood[i] && read[i].abs() < EQUAL, moved, dt);
+            }
             let both = Vector4::new(read.x, read.y, shown.x, shown.y);
             self.seconds = self.seconds * fade + dt;
             self.sum = self.sum * fade + both * dt;
             self.squares = self.squares * fade + both * both.transpose() * dt;
         }
         self.judge();
+    }
+
+    /// Adds a motion shown along an axis within `dt` seconds; `stood`: its encoder did not move.
+    fn add_unreported(&mut self, axis: usize, stood: bool, moved: f64, dt: f64) {
+        let sum = self.unreported[axis] * (1.0 - dt / RECENT) + moved * moved * dt;
+        self.unreported[axis] = if stood { sum } else { 0.0 };
     }
 
     /// Returns the change of the mean velocity over the two spans before an instant, m/s.

@@ -34,6 +34,9 @@ const RETURNED: f64 = 0.2;
 const EXPLAINED: f64 = 0.2;
 /// A reading is consistent below this NIS (one degree of freedom; 3 sigma).
 const CONSISTENT_NIS: f64 = 9.0;
+/// Standing readings are consistent within this distance, m and rad, however uncertain the estimate
+/// has become without them.
+const CONSISTENT_DISTANCE: f64 = 0.05;
 
 /// What to do with a reading while the encoders are suspended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,7 +69,9 @@ pub struct EncoderEvidence {
     pub standing: bool,
     /// An axis has stood since about when the encoders were suspended: it may be stuck.
     pub axis_stopped: bool,
-    /// The estimate of the climber moves.
+    /// An axis may be stuck: it stood when the encoders were suspended, and has not moved since.
+    pub suspected: bool,
+    /// The climber moves, by the estimate or as images and IMU show it, along axes that stand.
     pub moves: bool,
     /// The reading is the first that differs after equal ones, and a climber can have moved there.
     pub moves_on: bool,
@@ -87,6 +92,8 @@ pub struct EncoderTrust {
     returned: Option<Stamp>,
     /// Last time that the filter was tried without encoders that stand, or found them not stuck.
     tried: Option<Stamp>,
+    /// Since when each axis stood that may be stuck, where the oldest state has followed it.
+    pub followed: Option<[Option<Stamp>; 3]>,
     /// Whether images and IMU show the directions that the encoders report.
     pub directions: EncoderDirections,
 }
@@ -152,7 +159,8 @@ impl EncoderTrust {
             self.returned = seen.moves_on.then_some(at);
         }
         let stuck = *cause == Cause::Stuck;
-        if nis < CONSISTENT_NIS {
+        let near = !seen.standing || !seen.moves && residual.amax() < CONSISTENT_DISTANCE;
+        if nis < CONSISTENT_NIS && near {
             self.consistent += 1;
             self.consistent_since.get_or_insert(at);
         } else {
@@ -165,7 +173,11 @@ impl EncoderTrust {
         if self.consistent >= CONSISTENT && lasts > due {
             self.reset();
             Verdict::Resume
-        } else if !stuck && self.consistent == 0 && (returned || contradicts > timeout) {
+        } else if !stuck
+            && !seen.suspected
+            && self.consistent == 0
+            && (returned || contradicts > timeout)
+        {
             self.reset();
             Verdict::Adopt
         } else {
@@ -186,7 +198,8 @@ impl EncoderTrust {
     /// suspended, or stood already when they were tried without.
     pub fn may_suspect(&self, since: Stamp, at: Stamp) -> bool {
         // A clock that was set back leaves a trial in the future.
-        !self.is_suspended() && self.tried.is_none_or(|tried| tried < since || tried > at)
+        let tried = self.tried.is_some_and(|tried| (since..=at).contains(&tried));
+        !self.is_suspended() && (!tried || self.directions.unreported() != [false; 3])
     }
 
     /// Notes that encoders which stand are tried without.
@@ -199,7 +212,7 @@ impl EncoderTrust {
     pub fn restore_after_contradiction(&mut self, at: Stamp) -> bool {
         let suspected = self.suspended.is_some_and(|(since, cause)| {
             cause != Cause::Leap && at.seconds_since(since) > EXPLAINED
-        });
+        }) && self.directions.unreported() == [false; 3];
         if suspected {
             self.tried = Some(at);
             self.reset();
@@ -212,8 +225,13 @@ impl EncoderTrust {
 mod tests {
     use super::*;
 
-    const CONTRADICTING: EncoderEvidence =
-        EncoderEvidence { standing: false, axis_stopped: false, moves: false, moves_on: false };
+    const CONTRADICTING: EncoderEvidence = EncoderEvidence {
+        standing: false,
+        axis_stopped: false,
+        suspected: false,
+        moves: false,
+        moves_on: false,
+    };
     const RETURNS: EncoderEvidence = EncoderEvidence { moves_on: true, ..CONTRADICTING };
     const STANDS: EncoderEvidence = EncoderEvidence { standing: true, ..CONTRADICTING };
     const STUCK: EncoderEvidence = EncoderEvidence { moves: true, ..STANDS };
@@ -230,9 +248,16 @@ mod tests {
         assert_eq!(trust.judge(at(60), 1.0, &off, CONTRADICTING, 3.0), Verdict::Resume);
         assert!(!trust.is_suspended());
         trust.suspend(at(70), Cause::Contradiction, false);
-        let stuck: Vec<Verdict> =
-            (0..60).map(|k| trust.judge(at(80 + 20 * k), 1.0, &off, STANDS, 3.0)).collect();
-        assert_eq!(stuck.iter().position(|v| *v == Verdict::Resume), Some(51));
+        // However uncertain the estimate is, standing readings far from it are not consistent.
+        let resumes = |residual: &Vector3<f64>, seen: EncoderEvidence| {
+            let mut trust = trust.clone();
+            let verdict = |k: i64| trust.judge(at(80 + 20 * k), 1.0, residual, seen, 3.0);
+            (0..60i64).map(verdict).position(|verdict| verdict == Verdict::Resume)
+        };
+        let near = Vector3::new(0.04, 0.0, 0.0);
+        assert_eq!(resumes(&near, STANDS), Some(51));
+        assert_eq!(resumes(&near, STUCK), None, "images and IMU show that the climber moves");
+        assert_eq!(resumes(&off, STANDS), None);
         trust.suspend(at(100), Cause::Contradiction, false);
         trust.suspend(at(2000), Cause::Contradiction, false);
         assert_eq!(trust.judge(at(2100), 1e6, &off, CONTRADICTING, 3.0), Verdict::Exclude);
@@ -245,6 +270,8 @@ mod tests {
         let mut stopped = EncoderTrust::default();
         stopped.suspend(at(0), Cause::Contradiction, false);
         let mut moving = stopped.clone();
+        let suspected = EncoderEvidence { suspected: true, ..STANDS };
+        assert_eq!(stopped.judge(at(3980), 1e6, &off, suspected, 3.0), Verdict::Exclude);
         assert_eq!(stopped.judge(at(4000), 1e6, &off, STANDS, 3.0), Verdict::Adopt);
         assert_eq!(moving.judge(at(200), 1e6, &off, STUCK, 3.0), Verdict::Exclude);
         assert_eq!(moving.judge(at(400), 1e6, &off, STUCK, 3.0), Verdict::Exclude);

@@ -1,7 +1,9 @@
 //! How far an estimate is from the truth, and whether it knows.
 
 use pose_fusion::{Fusion, FusionConfig, Input, Odometry, Output, PoseEstimate, Swing};
+use rig_model::Stamp;
 pub use rig_model::score::{Nees, PoseError, Score, Truth};
+use std::collections::BTreeSet;
 
 /// All outputs of a filter for a series of inputs.
 #[derive(Default)]
@@ -19,6 +21,13 @@ impl Outputs {
     /// The records of all markers of all images.
     pub fn records(&self) -> impl Iterator<Item = &pose_fusion::measurements::Innovation<2>> {
         self.images.iter().flat_map(|image| &image.markers.0)
+    }
+
+    /// The odometry whose status says that it may be used.
+    pub fn valid(&self) -> Vec<Odometry> {
+        let valid = self.status.iter().filter(|status| status.valid);
+        let valid: BTreeSet<Stamp> = valid.map(|status| status.stamp).collect();
+        self.odometry.iter().filter(|o| valid.contains(&o.stamp)).cloned().collect()
     }
 }
 

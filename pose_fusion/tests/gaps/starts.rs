@@ -5,10 +5,10 @@ use super::common::{
     simulated,
 };
 use nalgebra::{UnitQuaternion, Vector3};
-use pose_fusion::{FusionConfig, Input, Odometry, Warning};
-use rig_model::{MarkerObservation, Stamp};
+use pose_fusion::{FusionConfig, Input, Warning};
+use rig_model::MarkerObservation;
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig, parallel, random::Random};
-use std::{collections::BTreeSet, fmt};
+use std::fmt;
 
 /// Length of a run, s, and of its beginning that does not count.
 const LENGTH: f64 = 8.0;
@@ -198,14 +198,9 @@ fn a_pose_that_images_have_not_confirmed_is_not_valid() {
             }
         });
         let (_, outputs) = scoring::follow(FusionConfig::default(), inputs);
-        let valid = outputs.status.iter().filter(|status| status.valid);
-        let valid: BTreeSet<Stamp> = valid.map(|status| status.stamp).collect();
-        let used = outputs.odometry.iter().filter(|odometry| valid.contains(&odometry.stamp));
-        let error = |odometry: &Odometry| {
-            let truth = run.truth.at(odometry.stamp).unwrap().world_from_volant.translation;
-            (odometry.world_from_volant.translation.vector - truth.vector).norm()
-        };
-        used.map(error).fold(0.0, f64::max)
+        let valid = outputs.valid();
+        let errors = scoring::errors(&valid, &run.truth);
+        errors.map(|(_, error, _)| error.position.norm()).fold(0.0, f64::max)
     };
     for (sign, limit) in [(1.0, 0.12), (-1.0, 0.2)] {
         let all = parallel::map(parallel::processors(), 20, || (), |(), i| worst(i as u64, sign));

@@ -11,6 +11,9 @@ const STUCK_BEYOND: f64 = 0.015;
 /// The same where the encoder of one axis is stuck alone.
 const ALONE_FAR: f64 = 0.05;
 const ALONE_BEYOND: f64 = 0.02;
+/// The same of valid poses while encoders stay stuck: a valid pose has a sigma of up to 0.1 m.
+const STAYS_FAR: f64 = 0.25;
+const STAYS_BEYOND: f64 = 0.02;
 
 /// Encoders of the axes of `axes` (x, y, turn) repeat one reading for two seconds, from instants
 /// at which the climber drives, turns around or stands. Returns the largest error, m, and the share
@@ -70,6 +73,43 @@ fn an_encoder_stuck_alone_does_not_take_the_pose_with_it() {
             far < ALONE_FAR && beyond < ALONE_BEYOND,
             "{axis}: {far} m, {beyond} beyond the gate"
         );
+    }
+}
+
+/// Encoders that never move again: images and IMU carry the pose until its sigma is too large to be
+/// valid. Before, they were used again, or adopted after `climber.step_timeout`: valid up to 2.3 m
+/// off.
+#[test]
+fn encoders_that_stay_stuck_are_not_followed() {
+    for axes in [[true; 3], [false, true, false], [false, false, true]] {
+        for (seed, motion) in simulated::motions() {
+            let motion = MotionConfig { duration: 40.0, ..motion };
+            let run = simulated::run(motion, &SensorConfig::nominal(seed));
+            let mut held = None;
+            let inputs = run.changed(|at, input| {
+                if let (Input::Climber(sample), true) = (input, at > 8.0) {
+                    let now = &mut sample.world_from_climber;
+                    let held = *held.get_or_insert(*now);
+                    for axis in (0..2).filter(|axis| axes[*axis]) {
+                        now.translation.vector[axis] = held.translation.vector[axis];
+                    }
+                    if axes[2] {
+                        now.rotation = held.rotation;
+                    }
+                }
+            });
+            let (_, outputs) = scoring::follow(FusionConfig::default(), inputs);
+            let valid = outputs.valid();
+            let errors = scoring::errors(&valid, &run.truth);
+            let far = errors.map(|(_, error, _)| error.position.norm()).fold(0.0, f64::max);
+            let beyond = scoring::errors(&valid, &run.truth)
+                .filter(|(.., nees)| nees.iter().any(|n| *n > laps::BEYOND));
+            let share = beyond.count() as f64 / valid.len() as f64;
+            assert!(
+                far < STAYS_FAR && share < STAYS_BEYOND,
+                "{axes:?}, seed {seed}: {far} m, {share} beyond the gate"
+            );
+        }
     }
 }
 

@@ -45,6 +45,33 @@ fn each_wrong_direction_is_named_and_right_ones_are_not() {
 }
 
 #[test]
+fn motion_along_an_axis_that_repeats_its_reading_is_unreported_until_it_moves() {
+    for axis in 0..3 {
+        let mut directions = EncoderDirections::default();
+        let stuck = |t: f64| {
+            let mut read = climber(t);
+            read[axis] = climber(6.0)[axis];
+            read
+        };
+        add(&mut directions, 0.0..6.0, climber);
+        assert_eq!(directions.unreported(), [false; 3]);
+        add(&mut directions, 6.0..9.0, stuck);
+        assert_eq!(directions.unreported(), std::array::from_fn(|i| i == axis), "{axis}");
+        add(&mut directions, 9.0..10.0, climber);
+        assert_eq!(directions.unreported(), [false; 3]);
+    }
+    // A climber that stands, with the drift of the IMU.
+    let mut directions = EncoderDirections::default();
+    let epoch = Stamp::from_nanos(1_760_001_000_000_000_000);
+    for t in (0..300).map(|i| f64::from(i) / 30.0) {
+        let shown = Vector3::new(0.4 * t + 0.1 * t * t, -3.0, 0.5);
+        let read = Vector3::new(0.2, 0.3, 0.1);
+        directions.compare(ClimberInstant { stamp: epoch.plus_seconds(t), shown, read });
+        assert_eq!(directions.unreported(), [false; 3]);
+    }
+}
+
+#[test]
 fn directions_that_were_corrected_are_right_again() {
     let mut directions = EncoderDirections::default();
     let reversed = |t| climber(t).component_mul(&Vector3::new(-1.0, 1.0, 1.0));
