@@ -263,9 +263,7 @@ impl Filter {
         if let (Some(internal), false) = (internal, unpredicted) {
             self.images.climber_motion.add(&record.evidence, self.climber.standing());
             let grows = self.images.model_error.add(record.nis - internal, &MODEL_ERROR);
-            let unreported = self.trust.directions.unreported() != [false; 3];
-            let known = self.search.is_none() || self.start.searches_again && unreported;
-            if known && self.try_without_encoders(place) {
+            if self.search.is_none() && self.try_without_encoders(place) {
                 return false;
             }
             if self.images.model_error.factor > SUDDEN {
