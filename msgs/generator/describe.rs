@@ -9,35 +9,36 @@ use super::{
     parse::{Base, Count, Interface, Name},
 };
 use sha2::{Digest, Sha256};
-use std::{
-    collections::{BTreeMap, BTreeSet},
-    fmt::Write,
-};
+use std::{collections::BTreeMap, fmt::Write};
 
-/// Adds the names of all messages nested in `message` to `found`, depth first.
-fn find_nested(set: &Interfaces, message: &Interface, found: &mut Vec<Name>) -> Result<(), String> {
-    for field in &message.fields {
-        if let Base::Nested(name) = &field.base
-            && !found.contains(name)
-        {
-            found.push(name.clone());
-            find_nested(set, set.get(name)?, found)?;
+/// Adds the names of all types nested in a type to `found`, depth first.
+fn find_nested<'t>(types: &'t Types, name: &str, found: &mut Vec<&'t str>) -> Result<(), String> {
+    for Field { nested, .. } in fields(types, name)? {
+        if !nested.is_empty() && !found.contains(&nested.as_str()) {
+            found.push(nested);
+            find_nested(types, nested, found)?;
         }
     }
     Ok(())
 }
 
+/// Names of all types nested in a type, sorted.
+pub fn nested<'t>(types: &'t Types, name: &str) -> Result<Vec<&'t str>, String> {
+    let mut found = vec![];
+    find_nested(types, name, &mut found)?;
+    found.sort_unstable();
+    Ok(found)
+}
+
 /// Definition text: the message, then each nested message after a line of 80 `=` and a line
 /// `MSG: package/Name`.
-pub fn definition(set: &Interfaces, message: &Interface) -> Result<String, String> {
+pub fn definition(set: &Interfaces, types: &Types, message: &Interface) -> Result<String, String> {
     let mut text = message.text.trim_end().to_owned() + "\n";
     let mut nested = vec![];
-    find_nested(set, message, &mut nested)?;
-    for name in nested {
+    find_nested(types, &message.name.to_string(), &mut nested)?;
+    for Interface { name, text: own, .. } in nested.iter().filter_map(|n| set.messages.get(*n)) {
         let rule = "=".repeat(80);
-        text += &format!("{rule}\nMSG: {}/{}\n", name.package, name.name);
-        text += set.get(&name)?.text.trim_end();
-        text += "\n";
+        text += &format!("{rule}\nMSG: {}/{}\n{}\n", name.package, name.name, own.trim_end());
     }
     Ok(text)
 }
@@ -85,7 +86,7 @@ pub type Types = BTreeMap<String, Vec<Field>>;
 /// Describes all types.
 pub fn types(set: &Interfaces) -> Types {
     let messages = set.messages.iter();
-    let mut all: Types = messages.map(|(n, m)| (n.to_string(), message_fields(m))).collect();
+    let mut all: Types = messages.map(|(n, m)| (n.clone(), message_fields(m))).collect();
     for service in &set.services {
         let [request, response, event] = service_parts(service).map(|name| name.to_string());
         let one = |name: &str, nested: &str| Field::nested(name, NESTED, 0, nested);
@@ -160,26 +161,16 @@ pub fn service_parts(service: &Name) -> [Name; 3] {
 }
 
 /// RIHS01 hash of a message or service, `RIHS01_` and 64 hexadecimal digits.
-pub fn hash(types: &Types, name: &Name) -> Result<String, String> {
-    let name = name.to_string();
-    let mut referenced = BTreeSet::new();
-    let mut open = vec![name.as_str()];
-    while let Some(next) = open.pop() {
-        for field in fields(types, next)? {
-            if !field.nested.is_empty() && referenced.insert(field.nested.as_str()) {
-                open.push(&field.nested);
-            }
-        }
-    }
+pub fn hash(types: &Types, name: &str) -> Result<String, String> {
     let description = |name: &str| -> Result<String, String> {
         let fields: Vec<String> = fields(types, name)?.iter().map(Field::json).collect();
         Ok(format!(r#"{{"type_name": "{name}", "fields": [{}]}}"#, fields.join(", ")))
     };
     let referenced: Result<Vec<String>, String> =
-        referenced.into_iter().map(&description).collect();
+        nested(types, name)?.into_iter().map(&description).collect();
     let json = format!(
         r#"{{"type_description": {}, "referenced_type_descriptions": [{}]}}"#,
-        description(&name)?,
+        description(name)?,
         referenced?.join(", ")
     );
     let mut text = String::from("RIHS01_");

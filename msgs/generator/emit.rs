@@ -15,7 +15,7 @@ use std::collections::{BTreeMap, BTreeSet};
 pub fn rust_source(set: &Interfaces) -> Result<String, String> {
     let types = describe::types(set);
     let mut out = String::new();
-    let packages: BTreeSet<&str> = set.messages.keys().map(|n| n.package.as_str()).collect();
+    let packages: BTreeSet<&str> = set.messages.values().map(|m| &*m.name.package).collect();
     for package in packages {
         let own = package == OWN_PACKAGE;
         if !own {
@@ -34,7 +34,7 @@ pub fn rust_source(set: &Interfaces) -> Result<String, String> {
                 emit_message(&mut out, set, &types, message)?;
             }
             for service in set.services.iter().filter(|&s| is_here(s)) {
-                emit_service(&mut out, service, &describe::hash(&types, service)?);
+                emit_service(&mut out, service, &describe::hash(&types, &service.to_string())?);
             }
             out += "}\n";
         }
@@ -43,7 +43,7 @@ pub fn rust_source(set: &Interfaces) -> Result<String, String> {
         }
     }
     emit_registry(&mut out, set);
-    emit_descriptions(&mut out, set, &types);
+    emit_descriptions(&mut out, set, &types)?;
     Ok(out)
 }
 
@@ -162,8 +162,8 @@ fn emit_message(
     }
     *out += "}\n";
     emit_constants(out, message, &name)?;
-    let definition = describe::definition(set, message)?;
-    let hash = describe::hash(types, ros)?;
+    let definition = describe::definition(set, types, message)?;
+    let hash = describe::hash(types, &ros.to_string())?;
     // Not derived: a derive supports neither the defaults of the definition nor arrays beyond 32.
     *out += &format!(
         "#[allow(clippy::derivable_impls)]
@@ -215,10 +215,11 @@ impl crate::Service for {name} {{
 }
 
 fn emit_registry(out: &mut String, set: &Interfaces) {
-    let messages = set.messages.keys().filter(|n| n.kind == "msg");
+    let names = set.messages.values().map(|m| &m.name);
+    let messages = names.clone().filter(|n| n.kind == "msg");
     let messages: String =
         messages.map(|n| format!("crate::MessageInfo::of::<{}>(), ", rust_path(n))).collect();
-    let types = set.messages.keys().map(|n| rust_path(n).replacen("crate::", "$crate::", 1) + ", ");
+    let types = names.map(|n| rust_path(n).replacen("crate::", "$crate::", 1) + ", ");
     let types: String = types.collect();
     let constants = |path: String| {
         let service = format!("<{path} as crate::Service>");
@@ -237,18 +238,19 @@ pub static SERVICES: &[(&str, &str)] = &[{services}];
     );
 }
 
-/// The fields and text of every type, sorted by name.
-fn emit_descriptions(out: &mut String, set: &Interfaces, types: &Types) {
-    let messages = set.messages.iter().filter(|(name, _)| name.kind == "msg");
+/// The fields, nested types and text of every type, sorted by name.
+fn emit_descriptions(out: &mut String, set: &Interfaces, types: &Types) -> Result<(), String> {
+    let messages = set.messages.iter().filter(|(_, m)| m.name.kind == "msg");
     let mut sources: BTreeMap<String, (&str, String)> =
-        messages.map(|(name, m)| (name.to_string(), ("msg", m.text.clone()))).collect();
+        messages.map(|(name, m)| (name.clone(), ("msg", m.text.clone()))).collect();
     for service in &set.services {
         let [request, response, _] = describe::service_parts(service);
-        let half = |name| set.messages.get(name).map_or("", |m| m.text.as_str());
+        let half =
+            |name: &Name| set.messages.get(&name.to_string()).map_or("", |m| m.text.as_str());
         let text = format!("{}---\n{}", half(&request), half(&response));
         sources.insert(service.to_string(), ("srv", text));
     }
-    doc(out, "Fields and text of all built-in types, sorted by name.");
+    doc(out, "Fields, nested types and text of all built-in types, sorted by name.");
     *out += "pub(crate) static TYPES: &[crate::description::Type] = &[\n";
     for (name, fields) in types {
         // Requests, responses and events have no file; rosidl describes them so.
@@ -264,7 +266,9 @@ fn emit_descriptions(out: &mut String, set: &Interfaces, types: &Types) {
                  {default:?} }},\n"
             );
         }
-        *out += &format!("], encoding: {encoding:?}, text: {text:?} }},\n");
+        let nested = describe::nested(types, name)?;
+        *out += &format!("], nested: &{nested:?}, encoding: {encoding:?}, text: {text:?} }},\n");
     }
     *out += "];\n";
+    Ok(())
 }

@@ -13,11 +13,11 @@ use std::{collections::BTreeMap, error::Error, fs, path::Path};
 /// This package: its `.msg` files are in `msg/`, its types in `crate::msg`.
 pub const OWN_PACKAGE: &str = "volant_msgs";
 
-/// All interfaces by full name.
+/// All interfaces.
 #[derive(Debug, Default)]
 pub struct Interfaces {
-    /// Messages, including the requests and responses of services.
-    pub messages: BTreeMap<Name, Interface>,
+    /// Messages by full name, including the requests and responses of services.
+    pub messages: BTreeMap<String, Interface>,
     /// Services: `pkg/srv/Name`.
     pub services: Vec<Name>,
 }
@@ -76,21 +76,12 @@ impl Interfaces {
             let response: String = lines.collect();
             for (suffix, part) in [("_Request", request), ("_Response", response)] {
                 let part_name = Name::new(&name.package, "srv", &format!("{}{suffix}", name.name));
-                let message = Interface::parse(part_name.clone(), &part)?;
-                self.messages.insert(part_name, message);
+                self.messages.insert(part_name.to_string(), Interface::parse(part_name, &part)?);
             }
             self.services.push(name);
         } else {
-            let message = Interface::parse(name.clone(), text)?;
-            self.messages.insert(name, message);
+            self.messages.insert(name.to_string(), Interface::parse(name, text)?);
         }
         Ok(())
-    }
-
-    /// Returns the message with this name.
-    pub fn get(&self, name: &Name) -> Result<&Interface, String> {
-        let unknown =
-            || format!("{name}: is used by another interface, but there is no file for it");
-        self.messages.get(name).ok_or_else(unknown)
     }
 }

@@ -3,7 +3,7 @@
 use std::fmt;
 
 /// `package/kind/Name`, such as `std_msgs/msg/Header`.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Name {
     /// ROS package.
     pub package: String,

@@ -4,12 +4,13 @@
 use crate::type_description_interfaces::msg::{
     self as messages, FieldType, IndividualTypeDescription, TypeDescription, TypeSource,
 };
-use std::collections::BTreeSet;
 
 /// A type with its fields and its `.msg` or `.srv` text.
 pub(crate) struct Type {
     pub name: &'static str,
     pub fields: &'static [Field],
+    /// Names of the types nested in it, at any depth, sorted.
+    pub nested: &'static [&'static str],
     pub encoding: &'static str,
     pub text: &'static str,
 }
@@ -28,19 +29,6 @@ impl Type {
     fn of(name: &str) -> Option<&'static Self> {
         let types = crate::TYPES;
         types.binary_search_by(|t| t.name.cmp(name)).ok().and_then(|i| types.get(i))
-    }
-
-    /// The types nested in this one, at any depth, sorted by name, without this one.
-    fn nested(&self) -> Vec<&'static Self> {
-        let mut names = BTreeSet::new();
-        let mut open: Vec<&'static str> = self.fields.iter().map(|f| f.nested).collect();
-        while let Some(name) = open.pop() {
-            if !name.is_empty() && names.insert(name) {
-                let fields = Self::of(name).map_or(&[][..], |t| t.fields);
-                open.extend(fields.iter().map(|f| f.nested));
-            }
-        }
-        names.into_iter().filter_map(Self::of).collect()
     }
 
     fn description(&self) -> IndividualTypeDescription {
@@ -74,7 +62,7 @@ impl Type {
 /// name.
 pub fn describe(type_name: &str) -> Option<(TypeDescription, Vec<TypeSource>)> {
     let main = Type::of(type_name)?;
-    let nested = main.nested();
+    let nested: Vec<&Type> = main.nested.iter().copied().filter_map(Type::of).collect();
     let description = TypeDescription {
         type_description: main.description(),
         referenced_type_descriptions: nested.iter().map(|t| t.description()).collect(),
@@ -86,6 +74,7 @@ pub fn describe(type_name: &str) -> Option<(TypeDescription, Vec<TypeSource>)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::collections::BTreeSet;
 
     #[test]
     fn a_message_is_described_with_all_that_is_nested_in_it() {
