@@ -1,7 +1,7 @@
 //! The core: readings in, samples and rejections out.
 
 use crate::{
-    config::{Axis, ClimberConfig, ConfigError},
+    config::{Axis, ClimberConfig},
     warning::Warning,
 };
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
@@ -79,8 +79,8 @@ impl Climber {
     /// Creates the core in its initial state.
     ///
     /// # Errors
-    /// [`ConfigError`] if a value is invalid.
-    pub fn new(config: ClimberConfig) -> Result<Self, ConfigError> {
+    /// As [`ClimberConfig::validate`].
+    pub fn new(config: ClimberConfig) -> Result<Self, String> {
         config.validate()?;
         Ok(Self { config, ..Self::default() })
     }
@@ -88,8 +88,8 @@ impl Climber {
     /// Replaces the configuration and keeps the state, except for positions in another calibration.
     ///
     /// # Errors
-    /// [`ConfigError`] if a value is invalid; the previous configuration remains in force.
-    pub fn set_config(&mut self, config: ClimberConfig) -> Result<(), ConfigError> {
+    /// As [`ClimberConfig::validate`]; the previous configuration remains in force.
+    pub fn set_config(&mut self, config: ClimberConfig) -> Result<(), String> {
         config.validate()?;
         if config.joints != self.config.joints {
             // The last position with another zero or scale is no reference for a jump.

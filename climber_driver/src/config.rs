@@ -1,7 +1,6 @@
 //! Configuration of the core: joint names, calibration, plausibility limits.
 
 use std::fmt;
-use thiserror::Error;
 
 /// One of the climber's three degrees of freedom.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -99,22 +98,17 @@ impl JointCalibration {
     }
 }
 
-/// Invalid configuration: the parameter, its value and the valid ones.
-#[derive(Clone, Debug, Error, PartialEq, Eq)]
-#[error("{0}")]
-pub struct ConfigError(String);
-
 impl ClimberConfig {
     /// Checks joint names, scales and zeros; the declaration of the node's parameters limits the
     /// other values.
     ///
     /// # Errors
-    /// The first invalid parameter.
-    pub fn validate(&self) -> Result<(), ConfigError> {
+    /// The first invalid parameter, its value and the valid ones.
+    pub fn validate(&self) -> Result<(), String> {
         if self.joints.iter().all(|joint| joint.name.is_empty()) {
             let mistake = "the parameters `joints.rail_x`, `joints.rail_y` and `joints.turn` are all \
                            empty; name the joints of joint_states that the climber has";
-            return Err(ConfigError(mistake.to_owned()));
+            return Err(mistake.to_owned());
         }
         for (i, axis) in Axis::ALL.into_iter().enumerate() {
             let joint = &self.joints[i];
@@ -137,7 +131,7 @@ impl ClimberConfig {
             } else {
                 continue;
             };
-            return Err(ConfigError(mistake));
+            return Err(mistake);
         }
         Ok(())
     }
@@ -164,7 +158,7 @@ mod tests {
         for (expected, inject) in mistakes {
             let mut config = ClimberConfig::default();
             inject(&mut config);
-            let error = config.validate().unwrap_err().to_string();
+            let error = config.validate().unwrap_err();
             assert!(error.contains(expected), "{expected}: {error}");
         }
     }

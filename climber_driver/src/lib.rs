@@ -11,5 +11,5 @@ pub mod node;
 mod warning;
 
 pub use climber::{Climber, Counts, Output};
-pub use config::{Axis, ClimberConfig, ConfigError, JointCalibration};
+pub use config::{Axis, ClimberConfig, JointCalibration};
 pub use warning::Warning;

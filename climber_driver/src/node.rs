@@ -54,7 +54,7 @@ node_kit::parameters! {
             core: ClimberConfig;
         }
     }
-    check(p) { p.config().validate().map_err(|e| e.to_string()) }
+    check(p) { p.config().validate() }
 }
 
 impl ClimberParameters {
@@ -109,19 +109,19 @@ impl NodeShell for ClimberNode {
         parameters: ClimberParameters,
     ) -> Result<Self, NodeError> {
         let rig = context.rig()?;
-        let climber =
-            Climber::new(parameters.config()).map_err(|e| NodeError::shell(e.to_string()))?;
+        let climber = Climber::new(parameters.config()).map_err(NodeError::shell)?;
         let transform = context.advertise(topics::CLIMBER_TRANSFORM, QosPreset::Measurement)?;
         if parameters.publish_tf {
             context.advertise_transforms()?;
         }
         if parameters.publish_static_tf {
-            context.send_static_transform(convert::transform_message(
+            let transform = convert::transform_message(
                 &rig.frames.climber,
                 &rig.frames.camera,
                 context.now(),
                 &rig.climber_from_camera,
-            ))?;
+            );
+            context.send_static_transform(transform)?;
         }
         let clock = context.clock();
         context.subscribe(
@@ -190,7 +190,7 @@ impl NodeShell for ClimberNode {
         _context: &mut NodeContext<Received>,
         parameters: &ClimberParameters,
     ) -> Result<(), String> {
-        self.climber.set_config(parameters.config()).map_err(|e| e.to_string())
+        self.climber.set_config(parameters.config())
     }
 }
 

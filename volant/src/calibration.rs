@@ -66,7 +66,8 @@ fn read(path: &Path, cores: &Cores, motion: bool, losses: &mut Vec<String>) -> R
                         "{shown}: climber/joint_states is converted by climber_driver: {reason}"
                     )
                 })?;
-                driver = Some(Climber::new(config).with_context(|| shown.to_string())?);
+                let climber = Climber::new(config).map_err(anyhow::Error::msg);
+                driver = Some(climber.with_context(|| shown.to_string())?);
                 roles.joints = Some(name);
             }
         }

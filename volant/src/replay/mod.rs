@@ -108,8 +108,7 @@ pub fn replay(
     let summary = BagReader::summary(input)?;
     let roles = roles(input, &summary, names)?;
     let climber = roles.joints.as_ref().map(|topic| {
-        let config = cores.climber.clone();
-        let climber = config.and_then(|c| Climber::new(c).map_err(|e| e.to_string()));
+        let climber = cores.climber.clone().and_then(Climber::new);
         let path = input.display();
         climber.map_err(|e| anyhow!("{path}: {topic} is converted by climber_driver: {e}"))
     });
