@@ -3,24 +3,15 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
 
 use imu_driver::protocol::{Configuration, LegacyFormat, Measurement, MessageId, frame};
-use std::{
-    path::PathBuf,
-    process::{Command, Output},
-};
+use std::process::Command;
+use test_support::place::{Place, Ran};
 
-fn volant_imu(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_volant-imu")).args(arguments).output().unwrap()
+fn volant_imu(arguments: &[&str]) -> Ran {
+    Command::new(env!("CARGO_BIN_EXE_volant-imu")).args(arguments).output().unwrap().into()
 }
 
-/// A separate folder for each test.
-fn folder(name: &str) -> PathBuf {
-    let folder = std::env::temp_dir().join(format!("volant-imu-{name}-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
-    folder
-}
-
-fn last_line(output: &Output) -> String {
-    String::from_utf8_lossy(&output.stderr).lines().last().unwrap_or_default().to_owned()
+fn last_line(ran: &Ran) -> &str {
+    ran.err.lines().last().unwrap_or_default()
 }
 
 fn legacy_message(counter: u16) -> Vec<u8> {
@@ -37,38 +28,37 @@ fn legacy_message(counter: u16) -> Vec<u8> {
 
 #[test]
 fn a_corrupted_legacy_log_is_decoded_and_its_losses_are_counted() {
-    let folder = folder("damaged");
-    let path = |name: &str| folder.join(name).to_str().unwrap().to_owned();
+    let place = Place::new();
+    let path = |name: &str| place.path(name).to_str().unwrap().to_owned();
     let configuration =
         Configuration { format: LegacyFormat::STANDARD, ..Configuration::default() };
     let config = frame(MessageId::REQ_CONFIGURATION.ack(), &configuration.to_data());
-    std::fs::write(path("configuration.bin"), config).unwrap();
+    place.write("configuration.bin", config);
     let mut log = Vec::new();
     for counter in 65_530..65_540_u32 {
         log.extend(legacy_message(counter as u16));
     }
     log[59 * 3 + 20] ^= 0x10;
     log.extend(&legacy_message(4)[..30]);
-    std::fs::write(path("log.bin"), &log).unwrap();
+    place.write("log.bin", &log);
     let (log, config, csv) = (path("log.bin"), path("configuration.bin"), path("out.csv"));
     let done = volant_imu(&["decode", &log, "--config", &config, "--csv", &csv]);
-    assert!(done.status.success(), "{}", last_line(&done));
+    assert_eq!(done.status, Some(0), "{}", done.err);
     assert_eq!(last_line(&done), "9 frames, 1 bad checksums, 89 skipped bytes");
-    let table = std::fs::read_to_string(csv).unwrap();
+    let table = place.text("out.csv");
     let rows: Vec<&str> = table.lines().collect();
     assert_eq!(rows.len(), 10);
     assert_eq!(rows[1], "65530,,0.5,-0.25,9.75,0.125,0,-1.5,1,0,0,0");
-    std::fs::remove_dir_all(folder).unwrap();
 }
 
 #[test]
 fn errors_are_one_line_with_file_and_remedy() {
-    let folder = folder("cannot");
-    let path = |name: &str| folder.join(name).to_str().unwrap().to_owned();
-    std::fs::write(path("empty.bin"), []).unwrap();
-    std::fs::write(path("foreign.bin"), b"not a log of any IMU at all").unwrap();
-    std::fs::write(path("legacy.bin"), legacy_message(1)).unwrap();
-    std::fs::write(path("bad_config.bin"), [1, 2, 3]).unwrap();
+    let place = Place::new();
+    let path = |name: &str| place.path(name).to_str().unwrap().to_owned();
+    place.write("empty.bin", []);
+    place.write("foreign.bin", b"not a log of any IMU at all");
+    place.write("legacy.bin", legacy_message(1));
+    place.write("bad_config.bin", [1, 2, 3]);
     let csv = path("out.csv");
     let bad_config = path("bad_config.bin");
     let cases: [(&str, &[&str], &str); 5] = [
@@ -80,23 +70,19 @@ fn errors_are_one_line_with_file_and_remedy() {
     ];
     for (log, config, expected) in cases {
         let done = volant_imu(&[&["decode", &path(log), "--csv", &csv], config].concat());
-        let text = String::from_utf8_lossy(&done.stderr).into_owned();
-        assert_eq!(done.status.code(), Some(1), "{text}");
-        assert_eq!(text.lines().count(), 1, "{text}");
-        assert!(text.contains(expected), "{text}");
-        assert!(!std::path::Path::new(&csv).exists());
+        done.failed_with(&[expected]);
+        assert!(!place.path("out.csv").exists());
     }
     for arguments in
         [vec!["info", "--port", "/nowhere/tty"], vec!["find", "--port", "/nowhere/tty"]]
     {
-        let done = volant_imu(&arguments);
-        assert_eq!(done.status.code(), Some(1));
+        assert_eq!(volant_imu(&arguments).status, Some(1));
     }
     // Before the baud rate of the IMU is changed.
     let line = ["configure", "--port", "/nowhere/tty", "--rate", "400", "--set-baud", "115200"];
     let done = volant_imu(&line);
-    assert_eq!(done.status.code(), Some(1));
-    assert!(last_line(&done).contains("236000 baud"), "{}", last_line(&done));
+    assert_eq!(done.status, Some(1));
+    assert!(last_line(&done).contains("236000 baud"), "{}", done.err);
     for time in ["nan", "inf", "-1", "soon"] {
         for arguments in [
             ["info", "--port", "/nowhere/tty", "--timeout"],
@@ -104,28 +90,27 @@ fn errors_are_one_line_with_file_and_remedy() {
             ["log", "--port=/nowhere/tty", "--out=/nowhere/log.bin", "--duration"],
         ] {
             let done = volant_imu(&[&arguments[..], &[time]].concat());
-            assert_eq!(done.status.code(), Some(2), "{arguments:?} {time}: {done:?}");
+            assert_eq!(done.status, Some(2), "{arguments:?} {time}: {}", done.err);
         }
     }
-    assert_eq!(volant_imu(&["decode"]).status.code(), Some(2));
-    assert_eq!(volant_imu(&["nonsense"]).status.code(), Some(2));
-    std::fs::remove_dir_all(folder).unwrap();
+    assert_eq!(volant_imu(&["decode"]).status, Some(2));
+    assert_eq!(volant_imu(&["nonsense"]).status, Some(2));
 }
 
 #[cfg(feature = "simulated")]
 #[test]
 fn an_imu_is_found_configured_and_logged_and_the_log_decoded() {
     use imu_driver::simulated_imu::{SimulatedImuConfig, SimulatedSample, pty::PtyImu};
-    let folder = folder("imu");
-    let path = |name: &str| folder.join(name).to_str().unwrap().to_owned();
+    let place = Place::new();
+    let path = |name: &str| place.path(name).to_str().unwrap().to_owned();
     let tty = path("tty");
     let config = SimulatedImuConfig { baud: 57_600, ..SimulatedImuConfig::default() };
     let imu = PtyImu::start(config, &tty, Box::new(|_| SimulatedSample::stationary())).unwrap();
     let assert_prints = |arguments: &[&[&str]], texts: &[&str]| {
         let done = volant_imu(&arguments.concat());
-        let printed = String::from_utf8_lossy(&done.stdout);
-        let complete = texts.iter().all(|text| printed.contains(*text));
-        assert!(done.status.success() && complete, "{arguments:?}: {done:?}");
+        let complete = texts.iter().all(|text| done.out.contains(*text));
+        let printed = done.out + &done.err;
+        assert!(done.status == Some(0) && complete, "{arguments:?}: {printed}");
     };
     let flash_writes = || imu.with(|u, _| u.flash_writes());
     assert_prints(&[&["find", "--port", &tty]], &["MTx-28A53G25", "57600 baud"]);
@@ -145,23 +130,20 @@ fn an_imu_is_found_configured_and_logged_and_the_log_decoded() {
     let (log, csv) = (path("log.bin"), path("log.csv"));
     assert_prints(&[&["log"], line, &["--out", &log, "--duration", "1"]], &[]);
     assert_prints(&[&["decode", &log, "--csv", &csv]], &[]);
-    let rows = std::fs::read_to_string(csv).unwrap().lines().count();
+    let rows = place.text("log.csv").lines().count();
     // Includes data of the stream before the configuration.
     assert!((50..90).contains(&rows), "{rows}");
-    drop(imu);
-    std::fs::remove_dir_all(folder).unwrap();
 }
 
 #[test]
 fn a_log_is_never_replaced_by_its_table() {
-    let folder = folder("files");
-    let path = |name: &str| folder.join(name).to_str().unwrap().to_owned();
-    std::fs::write(path("log.bin"), legacy_message(1)).unwrap();
+    let place = Place::new();
+    let path = |name: &str| place.path(name).to_str().unwrap().to_owned();
+    place.write("log.bin", legacy_message(1));
     std::fs::hard_link(path("log.bin"), path("other.bin")).unwrap();
     for csv in ["log.bin", "other.bin"] {
         let refused = volant_imu(&["decode", &path("log.bin"), "--csv", &path(csv), "--overwrite"]);
-        assert!(last_line(&refused).contains("the output is the input"), "{refused:?}");
+        assert!(last_line(&refused).contains("the output is the input"), "{}", refused.err);
     }
-    assert_eq!(std::fs::read(path("log.bin")).unwrap(), legacy_message(1));
-    std::fs::remove_dir_all(&folder).unwrap();
+    assert_eq!(place.read("log.bin"), legacy_message(1));
 }

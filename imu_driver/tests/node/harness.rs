@@ -10,11 +10,13 @@ use node_kit::{
 };
 use rig_model::{Stamp, topics};
 use std::{
-    path::PathBuf,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
     time::Duration,
 };
-use test_support::process::{Running, in_domain, wait_until};
+use test_support::{
+    place::Place,
+    process::{Running, in_domain, wait_until},
+};
 use volant_msgs::{
     Message,
     diagnostic_msgs::msg::DiagnosticArray,
@@ -95,18 +97,16 @@ pub struct Harness {
     pub node: Running,
     pub imu: PtyImu,
     _subscriber: Process,
-    folder: PathBuf,
+    _folder: Place,
     _turn: MutexGuard<'static, ()>,
 }
 
 impl Harness {
-    pub fn start(name: &str, domain: u16, imu: SimulatedImuConfig, arguments: &[&str]) -> Self {
+    pub fn start(domain: u16, imu: SimulatedImuConfig, arguments: &[&str]) -> Self {
         let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
         received(|r| *r = Received::default());
-        let folder =
-            std::env::temp_dir().join(format!("volant-imu-node-{name}-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
-        let port = folder.join("tty");
+        let folder = Place::new();
+        let port = folder.path("tty");
         let imu = PtyImu::start(imu, &port, Box::new(motion)).unwrap();
         let network = Network { domain_id: domain, ..Network::default() };
         let mut subscriber = Process::new(network).unwrap();
@@ -118,7 +118,7 @@ impl Harness {
                 .args(["-p", &format!("port:={}", port.display())])
                 .args(arguments),
         );
-        Self { node, imu, _subscriber: subscriber, folder, _turn: turn }
+        Self { node, imu, _subscriber: subscriber, _folder: folder, _turn: turn }
     }
 
     /// Waits until `samples` were received, for at most `seconds`; returns whether they were.
@@ -129,12 +129,6 @@ impl Harness {
     /// Waits for `done`, for at most `seconds`; returns whether it was reached.
     pub fn wait(&self, seconds: f64, done: impl Fn(&Received) -> bool) -> bool {
         wait_until(Duration::from_secs_f64(seconds), || received(|r| done(r)))
-    }
-}
-
-impl Drop for Harness {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.folder);
     }
 }
 

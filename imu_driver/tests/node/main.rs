@@ -53,7 +53,7 @@ fn smallest_median(latencies: &[f64]) -> f64 {
 #[test]
 #[ignore = "needs a quiet machine"]
 fn p99_from_the_last_byte_to_the_message_is_at_most_two_milliseconds() {
-    let harness = Harness::start("p99", 75, SimulatedImuConfig::default(), &[]);
+    let harness = Harness::start(75, SimulatedImuConfig::default(), &[]);
     assert!(harness.wait_for_samples(3200, 60.0));
     let sent = harness.imu.take_sent();
     let messages = received(|r| std::mem::take(&mut r.imu));
@@ -64,7 +64,7 @@ fn p99_from_the_last_byte_to_the_message_is_at_most_two_milliseconds() {
 
 #[test]
 fn messages_are_published_without_delay_and_with_accurate_stamps() {
-    let harness = Harness::start("latency", 71, SimulatedImuConfig::default(), &[]);
+    let harness = Harness::start(71, SimulatedImuConfig::default(), &[]);
     assert!(harness.wait_for_samples(200, 30.0));
     assert!(harness.wait_for_samples(900, 30.0));
     let sent = harness.imu.take_sent();
@@ -106,7 +106,7 @@ fn messages_are_published_without_delay_and_with_accurate_stamps() {
 #[test]
 fn with_settings_left_as_they_are_the_covariance_has_the_rate_of_the_imu() {
     let config = SimulatedImuConfig { period: 2304, ..SimulatedImuConfig::default() };
-    let harness = Harness::start("covariance", 76, config, &["-p", "leave_settings:=true"]);
+    let harness = Harness::start(76, config, &["-p", "leave_settings:=true"]);
     assert!(harness.wait_for_samples(20, 30.0));
     // 0.002² · 50 Hz, from the first sample on.
     for (_, message) in received(|r| std::mem::take(&mut r.imu)) {
@@ -118,7 +118,7 @@ fn with_settings_left_as_they_are_the_covariance_has_the_rate_of_the_imu() {
 #[test]
 fn the_node_recovers_from_unplugging_slow_replies_garbage_and_power_loss() {
     let config = SimulatedImuConfig { ack_delay: 0.02, ..SimulatedImuConfig::default() };
-    let harness = Harness::start("replug", 72, config, &[]);
+    let harness = Harness::start(72, config, &[]);
     assert!(harness.wait_for_samples(100, 20.0));
     for outage in [0.2, 1.2] {
         harness.imu.unplug();
@@ -188,7 +188,7 @@ fn ten_minutes_at_400_hz_lose_nothing_at_constant_memory() {
         first_counter: 50_000,
         ..SimulatedImuConfig::default()
     };
-    let harness = Harness::start("soak", 74, config, &["-p", "baud:=460800", "-p", "rate:=400.0"]);
+    let harness = Harness::start(74, config, &["-p", "baud:=460800", "-p", "rate:=400.0"]);
     let seconds = std::env::var("VOLANT_SOAK").ok().and_then(|s| s.parse().ok()).unwrap_or(600.0);
     assert!(harness.wait_for_samples(400, 20.0));
     harness.imu.take_sent();
