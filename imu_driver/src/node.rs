@@ -105,12 +105,13 @@ impl NodeShell for ImuNode {
             }
         };
         if parameters.publish_static_tf {
-            context.send_static_transform(convert::transform_message(
+            let transform = convert::transform_message(
                 &rig.frames.volant,
                 &rig.frames.imu,
                 context.now(),
                 &rig.imu.volant_from_imu,
-            ))?;
+            );
+            context.send_static_transform(transform)?;
         }
         let sender = context.device_sender(&parameters.port, 1024);
         let clock = context.clock();

@@ -1,7 +1,6 @@
 //! What a node works with.
 
 use super::{
-    devices::DeviceSender,
     domain::Domain,
     error::NodeError,
     handle::{NodeHandle, NodeParts},
@@ -19,14 +18,14 @@ use std::{
     sync::Arc,
     time::{Duration, Instant},
 };
-use volant_msgs::{Message, Service, geometry_msgs::msg::TransformStamped};
+use volant_msgs::{Message, Service};
 
 /// What a node works with: its topics, clock, log, parameters, timers and device threads; most of
 /// it is a [`NodeHandle`]'s.
 ///
 /// It belongs to the node's own thread. What other threads need
-/// ([`Publisher`](super::Publisher), [`Logger`](super::Logger), [`DeviceSender`],
-/// [`Clock`](super::Clock)) is cloned out of it.
+/// ([`Publisher`](super::Publisher), [`Logger`](super::Logger),
+/// [`DeviceSender`](super::DeviceSender), [`Clock`](super::Clock)) is cloned out of it.
 pub struct NodeContext<I: Send + 'static> {
     handle: NodeHandle,
     timers: Timers<I>,
@@ -187,21 +186,6 @@ impl<I: Send + 'static> NodeContext<I> {
     /// node that is late gets one input for all missed periods.
     pub fn timer(&mut self, period: Duration, make: impl FnMut() -> I + Send + 'static) {
         self.timers.add(period, make);
-    }
-
-    /// Creates a source of the inbox for a device. At most `depth` of its events wait; one more
-    /// drops the oldest.
-    pub fn device_sender(&mut self, name: &str, depth: usize) -> DeviceSender<I> {
-        self.handle.devices.sender(&self.inbox, name, depth)
-    }
-
-    /// [`NodeHandle::send_static_transform`]; its argument may use `self.now()`, which the borrow
-    /// of `deref_mut` would forbid.
-    ///
-    /// # Errors
-    /// The first call advertises the topic, which can fail.
-    pub fn send_static_transform(&mut self, transform: TransformStamped) -> Result<(), NodeError> {
-        self.handle.send_static_transform(transform)
     }
 
     pub(crate) fn next_timer(&self) -> Option<Instant> {

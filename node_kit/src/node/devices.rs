@@ -1,6 +1,6 @@
 //! Threads of a node's devices, and how they hand events to the node.
 
-use super::error::NodeError;
+use super::{context::NodeContext, error::NodeError, handle::NodeHandle};
 use crate::inbox::{Event, Inbox, SourceId, SourceKind, Sources, now};
 use std::{
     sync::{
@@ -19,7 +19,12 @@ pub(crate) struct Devices {
     ending: Arc<AtomicBool>,
 }
 
-impl Devices {
+impl NodeHandle {
+    /// Starts a named thread for a device. It must end soon after [`DeviceSender::is_open`] becomes
+    /// false, because the node's end waits for it.
+    ///
+    /// # Errors
+    /// The system refuses the thread.
     pub fn spawn(
         &mut self,
         name: &str,
@@ -29,29 +34,28 @@ impl Devices {
             .name(name.to_owned())
             .spawn(work)
             .map_err(|error| NodeError::System { what: format!("the thread {name}"), error })?;
-        self.threads.push(thread);
+        self.devices.threads.push(thread);
         Ok(())
     }
 
-    pub fn sender<I: Send + 'static>(
-        &mut self,
-        inbox: &Arc<Inbox<I>>,
-        name: &str,
-        depth: usize,
-    ) -> DeviceSender<I> {
-        let source = inbox.add_source(name, depth, SourceKind::Optional);
-        self.sources.push(source);
-        DeviceSender { inbox: inbox.clone(), source, ending: Arc::clone(&self.ending) }
-    }
-
-    /// Ends the threads, waits for them and retires their sources.
-    pub fn end(&mut self, inbox: &dyn Sources) {
-        let Self { threads, sources, ending } = std::mem::take(self);
+    /// Ends the threads of devices, waits for them and retires their sources.
+    pub(crate) fn end_devices(&mut self) {
+        let Devices { threads, sources, ending } = std::mem::take(&mut self.devices);
         ending.store(true, Ordering::Release);
         for thread in threads {
             let _ = thread.join();
         }
-        sources.into_iter().for_each(|source| inbox.retire(source));
+        sources.into_iter().for_each(|source| self.endpoints.sources.retire(source));
+    }
+}
+
+impl<I: Send + 'static> NodeContext<I> {
+    /// Creates a source of the inbox for a device. At most `depth` of its events wait; one more
+    /// drops the oldest.
+    pub fn device_sender(&mut self, name: &str, depth: usize) -> DeviceSender<I> {
+        let source = self.inbox.add_source(name, depth, SourceKind::Optional);
+        self.devices.sources.push(source);
+        DeviceSender { inbox: self.inbox.clone(), source, ending: Arc::clone(&self.devices.ending) }
     }
 }
 

@@ -2,8 +2,8 @@
 //! statuses.
 
 use super::{
-    endpoints::Endpoints, error::NodeError, graph::without_conflicts, intra_process::TopicState,
-    publisher::Publisher,
+    endpoints::Endpoints, error::NodeError, graph::without_conflicts, handle::NodeHandle,
+    intra_process::TopicState, publisher::Publisher,
 };
 use crate::{
     convert,
@@ -82,6 +82,22 @@ fn status(
     }
 }
 
+impl NodeHandle {
+    /// Sets one of the node's own statuses in `/diagnostics`, published as `<node>: <name>` until
+    /// it is set again.
+    pub fn diagnose(
+        &mut self,
+        name: &str,
+        health: Health,
+        message: &str,
+        values: &[(&str, String)],
+    ) {
+        let values = values.iter().map(|(key, value)| pair(*key, value)).collect();
+        let status = status(&self.endpoints.name, name, health, message, values);
+        self.diagnostics.statuses.insert(name.to_owned(), status);
+    }
+}
+
 impl Diagnostics {
     /// Advertises `/diagnostics`.
     pub fn new(endpoints: &mut Endpoints) -> Result<Self, NodeError> {
@@ -95,19 +111,6 @@ impl Diagnostics {
             conflicts: String::new(),
             without_clock: 0,
         })
-    }
-
-    /// Sets a status of the shell.
-    pub fn set(
-        &mut self,
-        node: &NodeName,
-        name: &str,
-        health: Health,
-        message: &str,
-        values: &[(&str, String)],
-    ) {
-        let values = values.iter().map(|(key, value)| pair(*key, value)).collect();
-        self.statuses.insert(name.to_owned(), status(node, name, health, message, values));
     }
 
     /// Removes the shell's statuses.

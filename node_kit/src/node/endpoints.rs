@@ -11,7 +11,7 @@ use crate::{
     inbox::Sources,
     names::{NodeName, Remap, resolve},
     parameters::ParameterStore,
-    qos::{Endpoint, Qos, QosPreset},
+    qos::{Endpoint, Qos},
 };
 use parking_lot::Mutex;
 use rustdds::{
@@ -83,26 +83,17 @@ impl Endpoints {
         Ok(resolve(&self.name, &self.remaps, name)?)
     }
 
-    /// Creates a publisher that is silent while the node is inactive.
-    pub fn advertise<M: Message>(
-        &mut self,
-        topic: &str,
-        preset: QosPreset,
-    ) -> Result<Publisher<M>, NodeError> {
-        let active = Arc::clone(&self.active);
-        self.make_publisher(topic, preset.qos(Endpoint::Publisher), active)
-    }
-
     /// Creates a publisher of the node itself, which publishes while the node is inactive too.
     pub fn advertise_always<M: Message>(
         &mut self,
         topic: &str,
         qos: Qos,
     ) -> Result<Publisher<M>, NodeError> {
-        self.make_publisher(topic, qos, Arc::new(AtomicBool::new(true)))
+        self.advertise_while(topic, qos, Arc::new(AtomicBool::new(true)))
     }
 
-    fn make_publisher<M: Message>(
+    /// Creates a publisher that is silent while `active` is false.
+    pub fn advertise_while<M: Message>(
         &mut self,
         topic: &str,
         qos: Qos,

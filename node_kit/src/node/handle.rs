@@ -4,7 +4,7 @@ use super::{
     clock::Clock,
     control_services::{self, SharedState},
     devices::Devices,
-    diagnostics::{Diagnostics, Health},
+    diagnostics::Diagnostics,
     domain::Domain,
     endpoints::Endpoints,
     error::NodeError,
@@ -21,7 +21,7 @@ use crate::{
     lifecycle::LifecycleState,
     names::{NodeName, Remap},
     parameters::{CommonParameters, ParameterSet, ParameterStore, ParameterValue},
-    qos::{Qos, QosPreset},
+    qos::{Endpoint, Qos, QosPreset},
 };
 use parking_lot::{Mutex, MutexGuard};
 use rig_model::{Rig, Stamp, topics};
@@ -29,9 +29,7 @@ use std::{
     sync::{Arc, Weak, atomic::Ordering},
     time::Duration,
 };
-use volant_msgs::{
-    Message, geometry_msgs::msg::TransformStamped, rosgraph_msgs::msg::Clock as ClockMessage,
-};
+use volant_msgs::{Message, rosgraph_msgs::msg::Clock as ClockMessage};
 
 /// Subscriptions and services of one owner; they end when it drops.
 #[derive(Default)]
@@ -53,7 +51,7 @@ pub struct NodeHandle {
     pub(crate) shell: Held,
     /// Of the node itself: parameters, lifecycle, `/clock`.
     own: Held,
-    transforms: Transforms,
+    pub(super) transforms: Transforms,
     pub(crate) diagnostics: Diagnostics,
     pub(crate) devices: Devices,
     pub(crate) lifecycle: SharedState,
@@ -99,7 +97,8 @@ impl NodeHandle {
         Ok(handle)
     }
 
-    /// Advertises a topic. The shell keeps the publisher; the topic ends when the last clone drops.
+    /// Advertises a topic, which is silent while the node is inactive. The shell keeps the
+    /// publisher; the topic ends when the last clone drops.
     ///
     /// # Errors
     /// An invalid name or override of the QoS, a topic of another type in this process, or an error
@@ -109,7 +108,8 @@ impl NodeHandle {
         topic: &str,
         preset: QosPreset,
     ) -> Result<Publisher<M>, NodeError> {
-        self.endpoints.advertise(topic, preset)
+        let active = Arc::clone(&self.endpoints.active);
+        self.endpoints.advertise_while(topic, preset.qos(Endpoint::Publisher), active)
     }
 
     /// Absolute name of a topic or service after remaps.
@@ -129,57 +129,6 @@ impl NodeHandle {
     /// Announces a publisher of the participant as this node's.
     pub fn announce_writer(&mut self, writer: rustdds::GUID) {
         self.endpoints.node.lock().add_writer(writer.into());
-    }
-
-    /// Starts a named thread for a device. It must end soon after
-    /// [`DeviceSender::is_open`](super::DeviceSender::is_open) becomes false, because the node's
-    /// end waits for it.
-    ///
-    /// # Errors
-    /// The system refuses the thread.
-    pub fn spawn(
-        &mut self,
-        name: &str,
-        work: impl FnOnce() + Send + 'static,
-    ) -> Result<(), NodeError> {
-        self.devices.spawn(name, work)
-    }
-
-    /// Advertises `/tf` before the first transform.
-    ///
-    /// # Errors
-    /// As [`NodeHandle::advertise`].
-    pub fn advertise_transforms(&mut self) -> Result<(), NodeError> {
-        self.transforms.advertise(&mut self.endpoints)
-    }
-
-    /// Publishes a transform on `/tf`.
-    ///
-    /// # Errors
-    /// The first call advertises the topic, which can fail.
-    pub fn send_transform(&mut self, transform: TransformStamped) -> Result<(), NodeError> {
-        self.transforms.send(&mut self.endpoints, transform)
-    }
-
-    /// Publishes a constant transform on `/tf_static`, for late joiners too. It replaces an earlier
-    /// one with the same child frame.
-    ///
-    /// # Errors
-    /// The first call advertises the topic, which can fail.
-    pub fn send_static_transform(&mut self, transform: TransformStamped) -> Result<(), NodeError> {
-        self.transforms.send_static(&mut self.endpoints, transform)
-    }
-
-    /// Sets one of the node's own statuses in `/diagnostics`, published as `<node>: <name>` until
-    /// it is set again.
-    pub fn diagnose(
-        &mut self,
-        name: &str,
-        health: Health,
-        message: &str,
-        values: &[(&str, String)],
-    ) {
-        self.diagnostics.set(&self.endpoints.name, name, health, message, values);
     }
 
     /// Time of the node's clock, for stamps.
@@ -255,11 +204,6 @@ impl NodeHandle {
             // Latched topics publish what was published meanwhile.
             self.endpoints.publishers.iter().filter_map(Weak::upgrade).for_each(|p| p.retry());
         }
-    }
-
-    /// Ends the threads of devices and waits for them.
-    pub(crate) fn end_devices(&mut self) {
-        self.devices.end(&*self.endpoints.sources);
     }
 
     /// Ends the shell's subscriptions, services, transforms and statuses.

@@ -1,6 +1,6 @@
 //! Transforms: `/tf`, and `/tf_static` for late joiners.
 
-use super::{endpoints::Endpoints, error::NodeError, publisher::Publisher};
+use super::{error::NodeError, handle::NodeHandle, publisher::Publisher};
 use crate::qos::QosPreset;
 use rig_model::topics;
 use volant_msgs::{geometry_msgs::msg::TransformStamped, tf2_msgs::msg::TFMessage};
@@ -13,44 +13,48 @@ pub(crate) struct Transforms {
     fixed_transforms: Vec<TransformStamped>,
 }
 
-impl Transforms {
+impl NodeHandle {
     /// Advertises `/tf` before the first transform, so that listeners know where it comes from.
-    pub fn advertise(&mut self, endpoints: &mut Endpoints) -> Result<(), NodeError> {
-        if self.moving.is_none() {
-            self.moving = Some(endpoints.advertise(topics::absolute::TF, QosPreset::State)?);
+    ///
+    /// # Errors
+    /// As [`NodeHandle::advertise`].
+    pub fn advertise_transforms(&mut self) -> Result<(), NodeError> {
+        if self.transforms.moving.is_none() {
+            let publisher = self.advertise(topics::absolute::TF, QosPreset::State)?;
+            self.transforms.moving = Some(publisher);
         }
         Ok(())
     }
 
-    /// Publishes on `/tf`, which the first call advertises.
-    pub fn send(
-        &mut self,
-        endpoints: &mut Endpoints,
-        transform: TransformStamped,
-    ) -> Result<(), NodeError> {
-        self.advertise(endpoints)?;
-        if let Some(publisher) = &self.moving {
+    /// Publishes a transform on `/tf`.
+    ///
+    /// # Errors
+    /// The first call advertises the topic, which can fail.
+    pub fn send_transform(&mut self, transform: TransformStamped) -> Result<(), NodeError> {
+        self.advertise_transforms()?;
+        if let Some(publisher) = &self.transforms.moving {
             publisher.publish(TFMessage { transforms: vec![transform] });
         }
         Ok(())
     }
 
-    /// Publishes on `/tf_static`, which the first call advertises.
-    pub fn send_static(
-        &mut self,
-        endpoints: &mut Endpoints,
-        transform: TransformStamped,
-    ) -> Result<(), NodeError> {
-        let publisher = match &self.fixed {
-            Some(publisher) => publisher,
-            None => self
-                .fixed
-                .insert(endpoints.advertise(topics::absolute::TF_STATIC, QosPreset::Latched)?),
-        };
+    /// Publishes a constant transform on `/tf_static`, for late joiners too. It replaces an earlier
+    /// one with the same child frame.
+    ///
+    /// # Errors
+    /// The first call advertises the topic, which can fail.
+    pub fn send_static_transform(&mut self, transform: TransformStamped) -> Result<(), NodeError> {
+        if self.transforms.fixed.is_none() {
+            let publisher = self.advertise(topics::absolute::TF_STATIC, QosPreset::Latched)?;
+            self.transforms.fixed = Some(publisher);
+        }
         // A late joiner gets one message, so all of the node's transforms are in it.
-        self.fixed_transforms.retain(|t| t.child_frame_id != transform.child_frame_id);
-        self.fixed_transforms.push(transform);
-        publisher.publish(TFMessage { transforms: self.fixed_transforms.clone() });
+        let Transforms { fixed, fixed_transforms, .. } = &mut self.transforms;
+        fixed_transforms.retain(|t| t.child_frame_id != transform.child_frame_id);
+        fixed_transforms.push(transform);
+        if let Some(publisher) = fixed {
+            publisher.publish(TFMessage { transforms: fixed_transforms.clone() });
+        }
         Ok(())
     }
 }
