@@ -93,20 +93,16 @@ impl<M: Message> Channel<M> {
         self.subscribers.write().push((id, deliver));
         drop(latched);
         let channel = Arc::clone(self);
-        SubscriberGuard(Some(Box::new(move || {
-            channel.subscribers.write().retain(|(i, _)| *i != id);
-        })))
+        SubscriberGuard(Box::new(move || channel.subscribers.write().retain(|(i, _)| *i != id)))
     }
 }
 
 /// Removes a subscriber of the process when it drops.
-pub(crate) struct SubscriberGuard(Option<Box<dyn FnOnce() + Send>>);
+pub(crate) struct SubscriberGuard(Box<dyn Fn() + Send>);
 
 impl Drop for SubscriberGuard {
     fn drop(&mut self) {
-        if let Some(remove) = self.0.take() {
-            remove();
-        }
+        (self.0)();
     }
 }
 
