@@ -2,7 +2,7 @@
 //!
 //! The frames found do not depend on how the bytes are chunked. After an invalid frame the search
 //! continues **one** byte after its preamble, so that a valid frame inside it is found. The buffer
-//! has a fixed size; no frame allocates. No input can cause a panic: all slices are checked.
+//! does not grow; no frame allocates. No input can cause a panic: all slices are checked.
 
 use super::message::MessageId;
 
@@ -17,6 +17,7 @@ pub const MAX_DATA: usize = 8192;
 /// Largest overhead of a frame, bytes: preamble, BID, MID, LEN, EXTLEN, checksum.
 const MAX_OVERHEAD: usize = 7;
 
+/// An incomplete frame, and as many bytes after it as are buffered at a time.
 const CAPACITY: usize = 2 * (MAX_DATA + MAX_OVERHEAD);
 
 /// A frame with a valid checksum, borrowed from the parser's buffer.
@@ -46,18 +47,12 @@ pub struct ParserCounts {
 }
 
 /// Finds frames in a stream of bytes.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct FrameParser {
-    buffer: Box<[u8]>,
+    buffer: Vec<u8>,
+    /// Number of bytes at its front that are parsed.
     start: usize,
-    end: usize,
     counts: ParserCounts,
-}
-
-impl Default for FrameParser {
-    fn default() -> Self {
-        Self::new()
-    }
 }
 
 enum Step {
@@ -69,32 +64,7 @@ enum Step {
 impl FrameParser {
     /// Creates an empty parser with its buffer, the only allocation.
     pub fn new() -> Self {
-        Self {
-            buffer: vec![0; CAPACITY].into_boxed_slice(),
-            start: 0,
-            end: 0,
-            counts: ParserCounts::default(),
-        }
-    }
-
-    /// Buffers bytes from the front of `bytes` and returns their number: all of them unless the
-    /// buffer is full. After `advance` has returned `None`, there is space for at least 8 KiB.
-    fn push(&mut self, bytes: &[u8]) -> usize {
-        if self.start == self.end {
-            (self.start, self.end) = (0, 0);
-        } else if self.buffer.len() - self.end < bytes.len() {
-            self.buffer.copy_within(self.start..self.end, 0);
-            self.end -= self.start;
-            self.start = 0;
-        }
-        let n = bytes.len().min(self.buffer.len() - self.end);
-        if let (Some(to), Some(from)) =
-            (self.buffer.get_mut(self.end..self.end + n), bytes.get(..n))
-        {
-            to.copy_from_slice(from);
-            self.end += n;
-        }
-        n
+        Self { buffer: Vec::with_capacity(CAPACITY), ..Self::default() }
     }
 
     /// Returns the next frame at the end of a stream: searches inside an incomplete one.
@@ -103,16 +73,16 @@ impl FrameParser {
     }
 
     /// Calls `handle` with every frame that is complete with `bytes`, which may be empty.
-    pub fn parse(&mut self, mut bytes: &[u8], mut handle: impl FnMut(Frame<'_>)) {
+    pub fn parse(&mut self, bytes: &[u8], mut handle: impl FnMut(Frame<'_>)) {
+        let mut parts = bytes.chunks(CAPACITY / 2);
         loop {
-            let n = self.push(bytes);
-            bytes = bytes.get(n..).unwrap_or_default();
             while let Some(frame) = self.advance(false) {
                 handle(frame);
             }
-            if bytes.is_empty() {
-                return;
-            }
+            let Some(part) = parts.next() else { return };
+            self.buffer.drain(..self.start);
+            self.start = 0;
+            self.buffer.extend_from_slice(part);
         }
     }
 
@@ -123,12 +93,12 @@ impl FrameParser {
 
     /// Discards the buffered bytes before another stream starts; they count as skipped.
     pub fn reset(&mut self) {
-        self.skip(self.end - self.start);
+        self.skip(self.pending());
     }
 
     /// Number of buffered bytes of an incomplete frame.
     pub fn pending(&self) -> usize {
-        self.end - self.start
+        self.buffer.len() - self.start
     }
 
     /// Number of bytes pushed since the parser was created.
@@ -148,11 +118,11 @@ impl FrameParser {
 
     fn advance(&mut self, at_end: bool) -> Option<Frame<'_>> {
         loop {
-            let waiting = self.buffer.get(self.start..self.end)?;
+            let waiting = self.buffer.get(self.start..)?;
             if waiting.first() != Some(&PREAMBLE) {
                 let garbage = waiting.iter().position(|&b| b == PREAMBLE).unwrap_or(waiting.len());
                 self.skip(garbage);
-                if self.start == self.end {
+                if self.pending() == 0 {
                     return None;
                 }
                 continue;
