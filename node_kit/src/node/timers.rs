@@ -84,18 +84,11 @@ impl<I> Timer<I> {
     }
 
     fn is_due(&mut self, steady: Instant) -> bool {
-        let due = steady >= self.next;
-        if due {
-            // In step with the first time, skipping the missed ones.
-            let missed = steady.duration_since(self.next).as_nanos() / self.period.as_nanos();
-            let steps = u32::try_from(missed).unwrap_or(u32::MAX - 1) + 1;
-            self.next = self
-                .period
-                .checked_mul(steps)
-                .and_then(|d| self.next.checked_add(d))
-                .unwrap_or(steady + self.period);
-        }
-        due
+        let Some(late) = steady.checked_duration_since(self.next) else { return false };
+        // In step with the first time, skipping the missed ones.
+        let over = u64::try_from(late.as_nanos() % self.period.as_nanos()).unwrap_or(0);
+        self.next = steady + self.period - Duration::from_nanos(over);
+        true
     }
 }
 
