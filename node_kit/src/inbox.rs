@@ -138,16 +138,18 @@ impl<I> Inbox<I> {
         if !*accepting && !count.kind.always_passes() {
             return;
         }
+        let mut oldest = None;
         if count.queued == count.depth {
             count.dropped += 1;
             count.queued -= 1;
-            if let Some(oldest) = queue.iter().position(|(s, _)| *s == source) {
-                queue.remove(oldest);
-            }
+            let position = queue.iter().position(|(s, _)| *s == source);
+            oldest = position.and_then(|position| queue.remove(position));
         }
         count.queued += 1;
         queue.push_back((source, entry));
         drop(state);
+        // Outside of the lock, because that may put in another one.
+        drop(oldest);
         self.ready.notify_one();
     }
 
@@ -314,6 +316,30 @@ mod tests {
         let counts = inbox.counts();
         assert_eq!((counts[0].received, counts[0].dropped), (4, 2));
         assert_eq!((counts[1].received, counts[1].dropped), (4, 1));
+    }
+
+    /// An input whose end is reported to its own node.
+    struct Reported(Arc<Inbox<Self>>, Option<SourceId>);
+
+    impl Drop for Reported {
+        fn drop(&mut self) {
+            if let Some(source) = self.1 {
+                self.0.put(source, Event::Input(Self(self.0.clone(), None)), now());
+            }
+        }
+    }
+
+    #[test]
+    fn a_dropped_input_may_put_in_another_one() {
+        let inbox = Inbox::new();
+        let (source, ends) = (
+            inbox.add_source("/x", 1, SourceKind::Expected),
+            inbox.add_source("ends", 1, SourceKind::Expected),
+        );
+        for _ in 0..2 {
+            inbox.put(source, Event::Input(Reported(inbox.clone(), Some(ends))), now());
+        }
+        assert_eq!(inbox.counts()[1].received, 1);
     }
 
     #[test]
