@@ -78,6 +78,12 @@ fn errors_are_one_line_with_file_and_remedy() {
     {
         assert_eq!(volant_imu(&arguments).status, Some(1));
     }
+    // Nothing is left that would keep another attempt from using the name.
+    let log = path("port.bin");
+    for _ in 0..2 {
+        volant_imu(&["log", "--port", "/nowhere/tty", "--out", &log])
+            .failed_with(&["/nowhere/tty"]);
+    }
     // Before the baud rate of the IMU is changed.
     let line = ["configure", "--port", "/nowhere/tty", "--rate", "400", "--set-baud", "115200"];
     let done = volant_imu(&line);

@@ -77,7 +77,8 @@ pub(super) struct Calling {
     next_call: f64,
     /// A valid frame was received.
     frame_seen: bool,
-    skipped_before: u64,
+    /// Bytes skipped before, from the first tick on: a call may come while the parser is moved out.
+    pub(super) skipped_before: Option<u64>,
     reset_at: Option<f64>,
 }
 
@@ -129,7 +130,7 @@ impl Driver {
             since: first_call,
             next_call: first_call,
             frame_seen: false,
-            skipped_before: self.parser.counts().skipped_bytes,
+            skipped_before: None,
             reset_at: None,
         });
     }
@@ -194,7 +195,8 @@ impl Driver {
         if !connection.reported_no_answer {
             connection.reported_no_answer = true;
             let bauds = connection.bauds.clone();
-            let garbage = self.parser.counts().skipped_bytes > calling.skipped_before;
+            let skipped = self.parser.counts().skipped_bytes;
+            let garbage = calling.skipped_before.is_some_and(|before| skipped > before);
             self.event(Event::NoAnswer { bauds, heard_at, garbage });
         }
         // Closed, because the adapter may have been replaced by another one with the same name.

@@ -266,7 +266,7 @@ impl Driver {
 
     fn tick(&mut self) {
         let now = self.time.now;
-        match &self.phase {
+        match &mut self.phase {
             Phase::Closed { retry_at } if now >= *retry_at => {
                 self.phase = Phase::Opening;
                 self.outputs.push_back(Output::Open {
@@ -276,6 +276,7 @@ impl Driver {
             }
             Phase::Settling { until } if now >= *until => self.call(0.0),
             Phase::Calling(calling) => {
+                calling.skipped_before.get_or_insert(self.parser.counts().skipped_bytes);
                 let calling = *calling;
                 self.tick_calling(calling);
             }

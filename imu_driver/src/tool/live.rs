@@ -310,7 +310,7 @@ pub(super) fn log(arguments: &Log) -> Result<(), Failure> {
     let mut failed = None;
     let forever = 1e9;
     let wait = arguments.duration.map_or(forever, |d| d + arguments.line.timeout);
-    converse(&arguments.line, config, wait, true, &stop, |report| {
+    let ended = converse(&arguments.line, config, wait, true, &stop, |report| {
         match report {
             Report::Bytes(bytes) => {
                 // Unbuffered, so that the file is complete after a kill.
@@ -332,7 +332,12 @@ pub(super) fn log(arguments: &Log) -> Result<(), Failure> {
             }
         }
         true
-    })?;
+    });
+    if bytes_written == 0 && !arguments.overwrite {
+        // Without a port or bytes there is no log, and another attempt may have its name.
+        let _ = std::fs::remove_file(out);
+    }
+    ended?;
     if let Some(failure) = failed {
         return Err(failure.into());
     }

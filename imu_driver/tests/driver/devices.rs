@@ -128,3 +128,18 @@ fn a_drift_beyond_the_limit_is_reported() {
         assert!(if exceeded { (2..5).contains(&reports) } else { reports == 0 }, "{reports}");
     }
 }
+
+/// The bytes that were skipped before the search are no garbage of the search.
+#[test]
+fn a_device_that_falls_silent_after_its_start_is_no_wrong_baud_rate() {
+    let mut bench = Bench::after(3.0, DriverConfig::default(), SimulatedImuConfig::default());
+    bench.imu.inject(&[1], bench.now);
+    bench.run(0.5);
+    bench.imu.power_cycle(bench.now);
+    while !bench.has(|e| *e == Event::WokeUp) {
+        bench.run(0.001);
+    }
+    bench.imu.set_mute(true);
+    bench.run(6.0);
+    assert!(bench.has(|e| matches!(e, Event::NoAnswer { garbage: false, .. })));
+}
