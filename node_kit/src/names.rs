@@ -114,21 +114,38 @@ pub struct Remap {
     pub to: String,
 }
 
+/// What a name is of: a rule whose name begins with `rostopic://` or `rosservice://` is for one kind
+/// only, as in rcl.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NameKind {
+    /// A topic.
+    Topic,
+    /// A service.
+    Service,
+}
+
 /// Absolute name of a topic or service: [`NodeName::expand`], then the first matching rule.
 ///
 /// # Errors
 /// [`NameError`] if `name` or the target of the matching rule is invalid.
-pub fn resolve(node: &NodeName, remaps: &[Remap], name: &str) -> Result<String, NameError> {
+pub fn resolve(
+    node: &NodeName,
+    remaps: &[Remap],
+    kind: NameKind,
+    name: &str,
+) -> Result<String, NameError> {
     let expanded = node.expand(name)?;
     for rule in remaps {
         if rule.node.as_deref().is_some_and(|only| only != node.base()) {
             continue;
         }
-        let from = rule
-            .from
-            .strip_prefix("rostopic://")
-            .or_else(|| rule.from.strip_prefix("rosservice://"));
-        if node.expand(from.unwrap_or(&rule.from)).is_ok_and(|from| from == expanded) {
+        let scheme = match kind {
+            NameKind::Topic => "rostopic://",
+            NameKind::Service => "rosservice://",
+        };
+        // A name with the other scheme is none, so that it equals no other.
+        let from = rule.from.strip_prefix(scheme).unwrap_or(&rule.from);
+        if node.expand(from).is_ok_and(|from| from == expanded) {
             return node.expand(&rule.to);
         }
     }
@@ -195,7 +212,16 @@ mod tests {
             ("/rig1/pose", "/rig1/fusion/pose"),
             ("~/state", "/rig1/state"),
         ] {
-            assert_eq!(resolve(&node, &rules, name).unwrap(), expected, "{name}");
+            assert_eq!(resolve(&node, &rules, NameKind::Topic, name).unwrap(), expected, "{name}");
+        }
+        let rules = [rule(None, "rosservice://reset", "one"), rule(None, "rostopic://imu", "two")];
+        for (kind, name, expected) in [
+            (NameKind::Topic, "reset", "/rig1/reset"),
+            (NameKind::Service, "reset", "/rig1/one"),
+            (NameKind::Topic, "imu", "/rig1/two"),
+            (NameKind::Service, "imu", "/rig1/imu"),
+        ] {
+            assert_eq!(resolve(&node, &rules, kind, name).unwrap(), expected, "{kind:?} {name}");
         }
     }
 }

@@ -1,5 +1,5 @@
 use super::*;
-use crate::names::resolve;
+use crate::names::{NameKind, resolve};
 
 fn words(text: &str) -> Vec<String> {
     text.split_whitespace().map(str::to_owned).collect()
@@ -32,8 +32,8 @@ fn the_arguments_of_ros2_launch_are_parsed() {
     assert_eq!(given["y"].value, ParameterValue::Integer(5));
     assert_eq!(given["z"].value, ParameterValue::Double(4.5));
     assert_eq!(given["y"].origin, b.display().to_string());
-    assert_eq!(resolve(&node, &ros.remaps(), "pose").unwrap(), "/robot1/est/pose");
-    assert_eq!(resolve(&node, &ros.remaps(), "/imu").unwrap(), "/sensors/imu");
+    assert_eq!(resolve(&node, &ros.remaps(), NameKind::Topic, "pose").unwrap(), "/robot1/est/pose");
+    assert_eq!(resolve(&node, &ros.remaps(), NameKind::Topic, "/imu").unwrap(), "/sensors/imu");
 }
 
 #[test]

@@ -171,7 +171,8 @@ impl<I: Send + 'static> NodeContext<I> {
         make: impl Fn(S::Request, Responder<S>) -> I + Send + Sync + 'static,
     ) -> Result<(), NodeError> {
         let inbox = self.inbox.clone();
-        let source = inbox.add_source(&self.resolve(name)?, 16, SourceKind::Service);
+        let source =
+            inbox.add_source(&self.endpoints.resolve_service(name)?, 16, SourceKind::Service);
         self.shell.sources.push(source);
         let service = self.endpoints.serve::<S, _>(name, move |request| {
             let (responder, response) = Responder::new();

@@ -9,7 +9,7 @@ use super::{
 };
 use crate::{
     inbox::Sources,
-    names::{NodeName, Remap, resolve},
+    names::{NameKind, NodeName, Remap, resolve},
     parameters::ParameterStore,
     qos::{Endpoint, Qos},
 };
@@ -78,9 +78,14 @@ impl Endpoints {
         })
     }
 
-    /// Absolute name of a topic or service after remaps.
-    pub fn resolve(&self, name: &str) -> Result<String, NodeError> {
-        Ok(resolve(&self.name, &self.remaps, name)?)
+    /// Absolute name of a topic after remaps.
+    pub fn resolve(&self, topic: &str) -> Result<String, NodeError> {
+        Ok(resolve(&self.name, &self.remaps, NameKind::Topic, topic)?)
+    }
+
+    /// Absolute name of a service after remaps.
+    pub fn resolve_service(&self, service: &str) -> Result<String, NodeError> {
+        Ok(resolve(&self.name, &self.remaps, NameKind::Service, service)?)
     }
 
     /// Creates a publisher of the node itself, which publishes while the node is inactive too.

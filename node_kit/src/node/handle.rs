@@ -112,7 +112,7 @@ impl NodeHandle {
         self.endpoints.advertise_while(topic, preset.qos(Endpoint::Publisher), active)
     }
 
-    /// Absolute name of a topic or service after remaps.
+    /// Absolute name of a topic after remaps.
     ///
     /// # Errors
     /// An invalid name.

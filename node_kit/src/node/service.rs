@@ -41,7 +41,7 @@ impl Endpoints {
         name: &str,
         answer: impl Fn(S::Request) -> F + Send + Sync + 'static,
     ) -> Result<OfferedService, NodeError> {
-        let name = self.resolve(name)?;
+        let name = self.resolve_service(name)?;
         let requests = self.service_topic::<S::Request>(&name, "rq", "Request", &REQUESTS)?;
         let replies = self.service_topic::<S::Response>(&name, "rr", "Reply", &REPLIES)?;
         match self.domain.network.services {
