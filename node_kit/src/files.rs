@@ -250,13 +250,23 @@ impl Pending {
         let name = target.file_name().ok_or_else(|| {
             FileError::io(path, io::Error::new(ErrorKind::InvalidInput, "it is no file name"))
         })?;
-        let mut temporary = OsString::from(name);
-        temporary.push(format!(".{}.partial", std::process::id()));
-        let temporary = target.with_file_name(temporary);
+        let named = |end: &str| {
+            let mut temporary = OsString::from(name);
+            temporary.push(format!(".{}{end}.partial", std::process::id()));
+            target.with_file_name(temporary)
+        };
+        let mut temporary = named("");
         let mut open = open();
         if open.discarded || open.paths.iter().any(|(t, _)| *t == temporary) {
             let reason = if open.discarded { "interrupted" } else { "it is written already" };
             return Err(FileError::io(path, io::Error::other(reason)));
+        }
+        // Left by a process of the same number that was killed: in a container it is always one.
+        for k in 1.. {
+            if fs::symlink_metadata(&temporary).is_err() {
+                break;
+            }
+            temporary = named(&format!("-{k}"));
         }
         open.paths.push((temporary.clone(), path.to_owned()));
         Ok(Self { temporary, target, overwrite })

@@ -131,3 +131,12 @@ fn a_full_disk_and_a_folder_that_is_not_there_are_named() {
     // The message has the system's error; `{:#}` would repeat a source.
     assert!(std::error::Error::source(&error).is_none(), "{error}");
 }
+
+#[test]
+fn what_another_process_of_the_same_number_left_stays_and_is_in_nobodys_way() {
+    let folder = tempfile::tempdir().unwrap();
+    let left = file(&folder, &format!("out.{}.partial", std::process::id()), "of another");
+    write(&folder.path().join("out"), b"new", false).unwrap();
+    assert_eq!(fs::read(left).unwrap(), b"of another");
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
+}
