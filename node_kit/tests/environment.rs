@@ -48,16 +48,21 @@ fn the_log_is_in_a_file_as_on_the_console() {
 #[test]
 fn the_console_and_the_file_can_be_turned_off() {
     let folder = tempfile::tempdir().unwrap();
-    let environment =
-        [("ROS_LOG_DIR", folder.path().to_str().unwrap()), ("CYCLONEDDS_URI", "file:///x")];
+    // Logged before and while the process joins the domain.
+    let environment = [
+        ("ROS_LOG_DIR", folder.path().to_str().unwrap()),
+        ("CYCLONEDDS_URI", "file:///x"),
+        ("NOTIFY_SOCKET", "/nowhere/socket"),
+    ];
+    let early = ["CYCLONEDDS_URI", "NOTIFY_SOCKET"];
     let quiet = ["--ros-args", "--disable-stdout-logs", "--log-file-name", "mine"];
     let node = minimal(58, &quiet, &environment);
-    let logged = || files(folder.path()).iter().any(|(_, text)| text.contains("CYCLONEDDS_URI"));
-    assert!(wait_until(LONG, logged));
+    let logged = |word| files(folder.path()).iter().any(|(_, text)| text.contains(word));
+    assert!(wait_until(LONG, || early.into_iter().all(logged)));
     assert!(files(folder.path()).iter().all(|(name, _)| name.starts_with("mine_")));
     node.signal("INT");
     let (_, lines) = node.finish(LONG);
-    assert!(!lines.iter().any(|line| line.contains("CYCLONEDDS_URI")), "{lines:?}");
+    assert!(!lines.iter().any(|line| early.iter().any(|word| line.contains(word))), "{lines:?}");
 
     let folder = tempfile::tempdir().unwrap();
     let environment =

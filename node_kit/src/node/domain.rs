@@ -11,7 +11,7 @@ use super::{
     intra_process::IntraProcess,
     logger::Logger,
     middleware::{Loss, MiddlewareWatch},
-    participant::join,
+    participant::join_with,
     supervisor::Supervisor,
 };
 use crate::{environment::Network, inbox::now, level::Level, qos::Endpoint};
@@ -60,13 +60,14 @@ impl Domain {
     /// becomes unusable.
     ///
     /// # Errors
-    /// As [`join`], or the system refuses the thread.
+    /// As [`join`](super::join), or the system refuses the thread.
     pub fn join(
         network: Network,
         log: Logger,
         lost: impl FnOnce(Loss) + Send + 'static,
     ) -> Result<Self, NodeError> {
-        let (participant, middleware) = join(&network)?;
+        let (participant, middleware) = join_with(&network, &log)?;
+        let supervisor = Supervisor::from_environment(&log);
         let context = Context::from_domain_participant(participant).map_err(|e| {
             NodeError::middleware(format!("the participant in domain {}", network.domain_id), e)
         })?;
@@ -93,7 +94,7 @@ impl Domain {
             transport,
             network,
             graph,
-            supervisor: Supervisor::from_environment(),
+            supervisor,
             buffers_checked: AtomicBool::new(false),
             ended,
             took_over: None,

@@ -23,8 +23,16 @@ use std::{net::Ipv4Addr, path::PathBuf};
 /// # Errors
 /// `ROS_SECURITY_STRATEGY` is `Enforce` and the enclave is missing or invalid, or DDS fails to create
 /// the participant (no network interface, no ports).
-#[allow(clippy::disallowed_methods, reason = "the one place")]
 pub fn join(network: &Network) -> Result<(DomainParticipant, MiddlewareWatch), NodeError> {
+    join_with(network, &process_log())
+}
+
+/// The same with a log of its own.
+#[allow(clippy::disallowed_methods, reason = "the one place")]
+pub(super) fn join_with(
+    network: &Network,
+    log: &Logger,
+) -> Result<(DomainParticipant, MiddlewareWatch), NodeError> {
     // As every rmw announces it; `/` without security.
     let enclave = network.security.as_ref().map_or("/", |security| security.enclave.as_str());
     let mut builder = DomainParticipantBuilder::new(network.domain_id)
@@ -33,7 +41,7 @@ pub fn join(network: &Network) -> Result<(DomainParticipant, MiddlewareWatch), N
         builder = builder.with_only_networks([Ipv4Addr::LOCALHOST]);
     }
     if let Some(security) = &network.security {
-        builder = secure(builder, security)?;
+        builder = secure(builder, security, log)?;
     }
     let (participant, watch) = MiddlewareWatch::of(|| builder.build());
     let participant = participant.map_err(|e| {
@@ -42,8 +50,8 @@ pub fn join(network: &Network) -> Result<(DomainParticipant, MiddlewareWatch), N
     Ok((participant, watch))
 }
 
-/// Log of what happens before a node exists, or besides the nodes.
-pub(crate) fn process_log() -> Logger {
+/// Log of a program without nodes.
+fn process_log() -> Logger {
     Logger::new("volant".to_owned(), Level::Info, Clock::default(), Sinks::default())
 }
 
@@ -61,6 +69,7 @@ const ENCLAVE: [&str; 6] = [
 fn secure(
     builder: DomainParticipantBuilder,
     security: &Security,
+    log: &Logger,
 ) -> Result<DomainParticipantBuilder, NodeError> {
     let folder = security.folder();
     let missing = ENCLAVE.into_iter().map(|name| folder.join(name)).find(|file| !file.is_file());
@@ -77,7 +86,7 @@ fn secure(
          `--features node_kit/security`"
             .to_owned()
     } else {
-        process_log().log(Level::Info, format!("DDS security: {}", folder.display()));
+        log.log(Level::Info, format!("DDS security: {}", folder.display()));
         return Ok(with_keys(builder, folder));
     };
     if security.enforce {
@@ -85,7 +94,7 @@ fn secure(
             "DDS security: the enclave {enclave} of the keystore {keystore}: {reason}"
         )));
     }
-    process_log().log(
+    log.log(
         Level::Warn,
         format!(
             "ROS_SECURITY_ENABLE is set, but this process runs UNPROTECTED: {reason} \

@@ -4,7 +4,7 @@
 //! The beat is sent by the event loops themselves, not by a thread of its own: a node that hangs in
 //! its handler stops the beat, and systemd restarts the process after `WatchdogSec`.
 
-use super::participant::process_log;
+use super::logger::Logger;
 use crate::{inbox::now, level::Level};
 use parking_lot::Mutex;
 use std::{
@@ -39,12 +39,12 @@ struct Loops {
 impl Supervisor {
     /// Connects to the service manager that the environment names: `NOTIFY_SOCKET`,
     /// `WATCHDOG_USEC` and `WATCHDOG_PID`. A socket that cannot be reached is logged and ignored.
-    pub fn from_environment() -> Arc<Self> {
+    pub fn from_environment(log: &Logger) -> Arc<Self> {
         let variable = |name| std::env::var(name).ok().filter(|text| !text.is_empty());
         let socket = variable("NOTIFY_SOCKET").and_then(|name| match connect(&name) {
             Ok(socket) => Some(socket),
             Err(error) => {
-                process_log().log(
+                log.log(
                     Level::Warn,
                     format!("NOTIFY_SOCKET={name}: {error}; the service manager gets no signals"),
                 );
