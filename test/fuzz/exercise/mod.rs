@@ -15,7 +15,7 @@ type Words = &'static [&'static [u8]];
 
 /// A parser, what is done with it, and right inputs to start from.
 pub struct Target {
-    /// As the fuzz target's executable is called.
+    /// Name in `VOLANT_FUZZ_TARGET`.
     pub name: &'static str,
     /// Takes any bytes.
     pub run: Run,

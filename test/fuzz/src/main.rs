@@ -1,25 +1,25 @@
-//! The fuzz targets of all parsers of external bytes.
+//! The fuzz targets of all parsers of external bytes in one executable: `VOLANT_FUZZ_TARGET` names
+//! the one that runs.
+#![no_main]
 
 #[path = "../exercise/mod.rs"]
-pub mod exercise;
+mod exercise;
 
 use exercise::{TARGETS, Target};
-use std::{env, fs, io, path::Path, process};
+use std::{env, fs, io, path::Path, process, sync::LazyLock};
 
-fn target(name: &str) -> &'static Target {
+static TARGET: LazyLock<&Target> = LazyLock::new(|| {
+    let name = env::var("VOLANT_FUZZ_TARGET").expect("VOLANT_FUZZ_TARGET names the target");
     TARGETS.iter().find(|t| t.name == name).expect("a target of that name")
-}
+});
 
-/// One input through the parser of that name.
-pub fn run(name: &str, data: &[u8]) {
-    (target(name).run)(data);
-}
+libfuzzer_sys::fuzz_target!(init: write_seeds(), |data: &[u8]| (TARGET.run)(data));
 
 /// Where `VOLANT_FUZZ_SEEDS` names a folder: writes the right inputs that fuzzing starts from, and
 /// the format's words as libFuzzer's dictionary, and ends.
-pub fn write_seeds(name: &str) {
+fn write_seeds() {
     let Some(folder) = env::var_os("VOLANT_FUZZ_SEEDS") else { return };
-    match write(target(name), Path::new(&folder)) {
+    match write(&TARGET, Path::new(&folder)) {
         Ok(()) => process::exit(0),
         Err(error) => {
             eprintln!("{}: {error}", Path::new(&folder).display());
@@ -39,15 +39,4 @@ fn write(target: &Target, folder: &Path) -> io::Result<()> {
         format!("\"{word}\"\n")
     });
     fs::write(folder.join(format!("{}.dict", target.name)), words.collect::<String>())
-}
-
-/// Defines the fuzz target of a name.
-#[macro_export]
-macro_rules! target {
-    ($name:literal) => {
-        libfuzzer_sys::fuzz_target!(
-            init: volant_fuzz::write_seeds($name),
-            |data: &[u8]| volant_fuzz::run($name, data)
-        );
-    };
 }

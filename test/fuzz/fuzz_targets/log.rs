@@ -1,3 +1,0 @@
-#![no_main]
-
-volant_fuzz::target!("log");
