@@ -3,7 +3,7 @@
 //! file is not replaced by an estimate of it.
 
 use crate::{
-    CalibrationError,
+    CalibrationError, Samples,
     adjustment::Adjustment,
     initial::first_states,
     parameters::{PARAMETERS, Parameters},
@@ -104,19 +104,20 @@ fn traits() -> Vec<Trait> {
 /// Refines a rig with a recording, but for the parameters whose names begin with one of `held`.
 ///
 /// # Errors
-/// No pose fits the recording, its motion determines neither mounting, or the adjustment does not
-/// converge.
+/// The recording is too short, no pose fits it, its motion determines neither mounting, or the
+/// adjustment does not converge.
 pub fn refine_rig(
-    recording: &Recording,
+    samples: &Samples,
     rig: &Rig,
     held: &[&str],
 ) -> Result<Estimate, CalibrationError> {
+    let recording = Recording::new(samples)?;
     let traits = traits();
-    let start = Parameters::new(rig, recording);
-    let states = first_states(recording, &start)?;
+    let start = Parameters::new(rig, &recording);
+    let states = first_states(&recording, &start)?;
     let mut priors = vec![0.0; PARAMETERS];
     priors.iter_mut().zip(&traits).for_each(|(prior, t)| *prior = t.prior);
-    let mut work = Adjustment::new(recording, start, states, priors);
+    let mut work = Adjustment::new(&recording, start, states, priors);
     work.gauge = Some(layout_gauge(rig));
     let (covariance, _) = work.solve()?;
     let mut verdicts: Vec<Refinement> = (0..REFINED)

@@ -25,4 +25,4 @@ pub use check::{
 };
 pub use error::CalibrationError;
 pub use estimate::{Estimate, Refinement, Row, refine_rig};
-pub use recording::{Recording, Samples, Shot};
+pub use recording::Samples;

@@ -7,9 +7,7 @@ use anyhow::{Context, Result, anyhow, bail};
 use bag::BagReader;
 use climber_driver::Climber;
 use marker_tracker::{Input, Output, Tracker, TrackerConfig};
-use rig_calibration::{
-    Configured, Estimate, Recording, Report, Samples, Track, examine_stamps, refine_rig,
-};
+use rig_calibration::{Configured, Estimate, Report, Samples, Track, examine_stamps, refine_rig};
 use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations, Sample, topics};
 use std::path::Path;
 use volant_msgs::{
@@ -188,9 +186,8 @@ pub fn refine_from_bag(
         }
         samples.repair();
         samples.at_one_time(cores.fusion.tight.clock.image_readout);
-        let estimate = Recording::new(&samples)
-            .and_then(|recording| refine_rig(&recording, &cores.rig, held))
-            .with_context(|| format!("{}", bag.display()))?;
+        let estimate =
+            refine_rig(&samples, &cores.rig, held).with_context(|| bag.display().to_string())?;
         let centers = [&estimate.rig, &seen_with.rig].map(|r| &r.markers.centers);
         let moved = MarkerColor::ALL
             .map(|c| (centers[0][c] - centers[1][c]).norm())
