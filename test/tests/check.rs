@@ -6,11 +6,8 @@ use rig_calibration::Verdict;
 use rig_model::{MarkerColor, Rig};
 use rig_simulator::motion::MotionConfig;
 use serde_json::Value;
-use std::{
-    fs,
-    path::Path,
-    process::{Command, Output},
-};
+use std::fs;
+use test_support::place::Place;
 use volant_test::{
     check::{Bench, FAULTS, Fault, findings_while_running},
     robustness::recording::read,
@@ -122,23 +119,15 @@ fn the_running_filter_reports_exchanged_colors_in_a_recording_with_images() {
     assert!(bench.while_running(None).is_empty(), "{:?}", bench.while_running(None));
 }
 
-fn check(bag: &Path, rig: &Path, json: &Path) -> Output {
-    let volant = Path::new(env!("CARGO_BIN_EXE_volant-rig")).with_file_name("volant");
-    let mut command = Command::new(volant);
-    command.arg("check").arg(bag).arg("--rig").arg(rig).arg("--json").arg(json);
-    command.output().unwrap()
-}
-
 #[test]
 fn the_command_names_an_exchanged_pair_of_colors_in_a_recording_with_images() {
     let Some(shared) = test_support::recordings() else { return };
-    let folder = shared.join("bags/nominal");
-    let (bag, right) = (folder.join("in.mcap"), folder.join("rig.yaml"));
-    let temporary = tempfile::tempdir().unwrap();
-    let json = temporary.path().join("right.json");
-    let output = check(&bag, &right, &json);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
-    let report: Value = serde_json::from_slice(&fs::read(&json).unwrap()).unwrap();
+    let folder = shared.join("bags/nominal").canonicalize().unwrap();
+    let text = fs::read_to_string(folder.join("rig.yaml")).unwrap();
+    let place = Place::with_rig(&text);
+    let check = format!("check {}/in.mcap --rig rig.yaml --json report.json", folder.display());
+    place.done(&check);
+    let report: Value = serde_json::from_slice(&place.read("report.json")).unwrap();
     assert_eq!(report["wrong"], false);
     let verdict = |name: &str| {
         let rows = report["rows"].as_array().unwrap();
@@ -146,18 +135,14 @@ fn the_command_names_an_exchanged_pair_of_colors_in_a_recording_with_images() {
     };
     assert_eq!(verdict("camera_info: fx"), "ok");
     assert_eq!(verdict("climber.height"), "unobservable");
-    // An existing file is not replaced.
-    assert_eq!(check(&bag, &right, &json).status.code(), Some(1));
+    place.fails(&check, &["report.json", "exists already", "--overwrite"]);
 
-    let text = fs::read_to_string(&right).unwrap();
     let swapped =
         text.replace("red:", "none:").replace("green:", "red:").replace("none:", "green:");
-    let wrong = temporary.path().join("wrong.yaml");
-    fs::write(&wrong, &swapped).unwrap();
     let (a, b) = (Rig::from_yaml(&text).unwrap(), Rig::from_yaml(&swapped).unwrap());
     assert_eq!(a.markers.centers[MarkerColor::Red], b.markers.centers[MarkerColor::Green]);
-    let output = check(&bag, &wrong, &temporary.path().join("wrong.json"));
-    let said = String::from_utf8_lossy(&output.stdout).into_owned();
-    assert_eq!(output.status.code(), Some(1), "{said}");
-    assert!(said.contains("the markers red and green are exchanged"), "{said}");
+    place.write("rig.yaml", &swapped);
+    let ran = place.volant(&format!("{check} --overwrite"));
+    assert_eq!(ran.status, Some(1), "{}{}", ran.out, ran.err);
+    assert!(ran.out.contains("the markers red and green are exchanged"), "{}", ran.out);
 }

@@ -6,15 +6,12 @@ use nalgebra::Vector3;
 use pose_fusion::{Fusion, FusionConfig, Input, ekf::consider::CLIMBER_OFFSET};
 use rig_model::Sample;
 use rig_simulator::recording::Recording;
-use std::process::Command;
-use volant_test::{
-    live::processes::executables,
-    robustness::{
-        perturbation::{PERTURBED_FROM, Perturbation, TABLE},
-        recording::read,
-        score,
-        table::{Bench, pairs},
-    },
+use test_support::place::Place;
+use volant_test::robustness::{
+    perturbation::{PERTURBED_FROM, Perturbation, TABLE},
+    recording::read,
+    score,
+    table::{Bench, pairs},
 };
 
 /// The recording of a name with the true centroids and 0.1 px of noise, where there are recordings.
@@ -284,14 +281,10 @@ fn a_wrong_unit_sign_or_direction_of_the_imu_makes_the_pose_invalid() {
 #[test]
 fn a_beginning_outside_the_recording_is_rejected_with_its_limits() {
     let Some(folder) = test_support::recordings() else { return };
+    let bags = folder.join("bags").canonicalize().unwrap();
+    let (place, bags) = (Place::new(), bags.display());
     for from in ["-1", "NaN", "1e9"] {
-        let output = Command::new(executables().join("volant"))
-            .args(["robustness", "--only", "nominal", &format!("--from={from}"), "--bags"])
-            .arg(folder.join("bags"))
-            .output()
-            .unwrap();
-        let text = String::from_utf8(output.stderr).unwrap();
-        assert!(!output.status.success(), "{from}: {text}");
-        assert!(text.contains("--from") && text.contains("not between 0 and"), "{from}: {text}");
+        let command = format!("robustness --only nominal --from={from} --bags {bags}");
+        place.fails(&command, &["--from", "not between 0 and"]);
     }
 }

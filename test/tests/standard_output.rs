@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used)]
 
 use std::process::Command;
+use test_support::place::Place;
 
 #[test]
 fn the_help_of_volant_lists_the_commands_of_all_executables() {
@@ -48,13 +49,8 @@ fn the_help_of_volant_lists_the_commands_of_all_executables() {
 
 #[test]
 fn the_manual_has_a_page_for_each_command_and_replaces_none_unasked() {
-    let place = tempfile::tempdir().unwrap();
-    let volant = volant_test::live::processes::executables().join("volant");
-    let manual = |more: &[&str]| {
-        let mut command = Command::new(&volant);
-        command.args(["manual", "--out"]).arg(place.path()).args(more).output().unwrap()
-    };
-    assert!(manual(&[]).status.success());
+    let place = Place::new();
+    place.done("manual --out man");
     for (page, words) in [
         ("volant.1", "EXIT STATUS"),
         ("volant-replay.1", "overwrite"),
@@ -62,11 +58,9 @@ fn the_manual_has_a_page_for_each_command_and_replaces_none_unasked() {
         ("volant-demo.1", "seed"),
         ("volant-calibrate-rig.1", "EXIT STATUS"),
     ] {
-        let text = std::fs::read_to_string(place.path().join(page)).unwrap();
+        let text = place.text(&format!("man/{page}"));
         assert!(text.contains(words) && text.starts_with(".ie"), "{page}: {text}");
     }
-    let again = manual(&[]);
-    assert_eq!(again.status.code(), Some(1));
-    assert!(String::from_utf8_lossy(&again.stderr).contains("exists already"));
-    assert!(manual(&["--overwrite"]).status.success());
+    assert!(place.failed("manual --out man").contains("exists already"));
+    place.done("manual --out man --overwrite");
 }

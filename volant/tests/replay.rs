@@ -7,15 +7,13 @@ mod place;
 mod simulated;
 
 use bag::BagReader;
-use place::{Place, copy_bag};
+use place::{Place, Ran, copy_bag};
 use rig_model::topics;
 use simulated::Simulated;
 use std::{
     fs,
     path::{Path, PathBuf},
-    process::{Command, Output},
 };
-use tempfile::TempDir;
 use volant::{
     evaluate::{EvaluateOptions, Quality, evaluate},
     replay::TopicNames,
@@ -26,7 +24,7 @@ const BAGS: [&str; 4] = ["nominal", "occlude_two", "fast_swing", "clutter"];
 /// Recorded without images, with real IMU samples that have no attitude.
 const WITHOUT_IMAGES: [&str; 3] = ["real_slow", "real_fast", "real_tapping"];
 /// Selects the published system as a whole.
-const PAPER: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../launch_config/config/paper.yaml");
+const PUBLISHED: &str = "--params-file published.yaml";
 /// Its name in the tracked table.
 const WHOLE: &str = "published system";
 /// Variable that makes the test write the figures; the commit explains the change.
@@ -35,25 +33,25 @@ const UPDATE: &str = "VOLANT_UPDATE_FIGURES";
 /// The recordings, and a folder for replays of them.
 struct Replays {
     bags: PathBuf,
-    dir: TempDir,
+    place: Place,
 }
 
 impl Replays {
     fn new() -> Option<Self> {
-        let bags = test_support::recordings()?.join("bags");
-        Some(Self { bags, dir: TempDir::new().unwrap() })
+        let bags = test_support::recordings()?.join("bags").canonicalize().unwrap();
+        let place = Place::new();
+        place.write("published.yaml", include_str!("../../launch_config/config/paper.yaml"));
+        Some(Self { bags, place })
     }
 
-    fn path(&self, name: &str) -> PathBuf {
-        self.dir.path().join(name)
-    }
-
-    /// Replays a recording into a bag of this name.
-    fn replay(&self, bag: &str, name: &str, more: &[&str]) -> PathBuf {
-        let (folder, out) = (self.bags.join(bag), self.path(name).with_extension("mcap"));
-        let output = replay(&folder.join("in.mcap"), &folder.join("rig.yaml"), &out, more);
-        assert!(output.status.success(), "{bag}: {}", String::from_utf8_lossy(&output.stderr));
-        out
+    /// Replays a recording with further words; returns the bag that it writes.
+    fn replay(&self, bag: &str, more: &str) -> PathBuf {
+        let folder = self.bags.join(bag);
+        let folder = folder.display();
+        self.place.done(&format!(
+            "replay {folder}/in.mcap --rig {folder}/rig.yaml --out out.mcap --overwrite {more}"
+        ));
+        self.place.path("out.mcap")
     }
 
     /// Errors of a replay's estimates after the first second.
@@ -62,15 +60,6 @@ impl Replays {
         let options = EvaluateOptions { estimates, truth, skip: 1.0, names: TopicNames::default() };
         evaluate(&options).unwrap().estimates
     }
-}
-
-fn replay(bag: &Path, rig: &Path, out: &Path, more: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_volant"))
-        .arg("replay")
-        .args([bag, "--rig".as_ref(), rig, "--out".as_ref(), out])
-        .args(more)
-        .output()
-        .unwrap()
 }
 
 /// The filter rejects it, and it does not become the end of the output.
@@ -126,10 +115,10 @@ fn imu_samples_without_a_stamp_leave_nothing_out_of_the_output() {
 #[test]
 fn a_replay_writes_the_same_bytes_each_time_with_one_thread_or_many() {
     let Some(replays) = Replays::new() else { return };
-    for system in [&[][..], &["--params-file", PAPER]] {
-        let outs = [("first", "1"), ("second", "1"), ("third", "5")].map(|(name, threads)| {
-            let options = [system, &["--overwrite", "--threads", threads]].concat();
-            fs::read(replays.replay("occlude_two", name, &options)).unwrap()
+    for system in ["", PUBLISHED] {
+        let outs = [1, 1, 5].map(|threads| {
+            let out = replays.replay("occlude_two", &format!("{system} --threads {threads}"));
+            fs::read(out).unwrap()
         });
         assert!(outs[0] == outs[1], "{system:?}: two replays differ");
         assert!(outs[0] == outs[2], "{system:?}: the number of threads changes the result");
@@ -146,22 +135,17 @@ fn a_replay_ends_with_what_is_wrong_in_the_rig_file() {
     let (x, rest) = x.split_once(',').unwrap();
     let x: f64 = x.trim().parse().unwrap();
     let moved = format!("{before}[{:.4},{rest}", x + 0.005);
-    let wrong = replays.path("my rig.yaml");
-    fs::write(&wrong, text.replace(line, &moved)).unwrap();
-    let out = replays.path("out.mcap");
-    let more = replays.path("more.yaml");
-    fs::write(&more, "marker_tracker: {ros__parameters: {max_predicted: 6}}\n").unwrap();
-    let more = more.to_str().unwrap();
-    let command = format!(
-        "`volant check {} --rig '{}' --params-file {more}`",
-        bag.join("in.mcap").display(),
-        wrong.display()
-    );
-    for (rig, found) in [(&bag.join("rig.yaml"), false), (&wrong, true)] {
-        let options = ["--overwrite", "--params-file", more];
-        let output = replay(&bag.join("in.mcap"), rig, &out, &options);
-        let said = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success(), "{said}");
+    let (place, input) = (&replays.place, bag.join("in.mcap"));
+    place.write("rig.yaml", &text);
+    place.write("my rig.yaml", text.replace(line, &moved));
+    place.write("more.yaml", "marker_tracker: {ros__parameters: {max_predicted: 6}}\n");
+    let command =
+        format!("`volant check {} --rig 'my rig.yaml' --params-file more.yaml`", input.display());
+    for (rig, found) in [("rig.yaml", false), ("my rig.yaml", true)] {
+        let mut replay = place.command("replay --out out.mcap --overwrite --params-file more.yaml");
+        replay.arg(&input).args(["--rig", rig]);
+        let Ran { status, err: said, .. } = replay.output().unwrap().into();
+        assert_eq!(status, Some(0), "{said}");
         let finding = said.lines().find(|line| line.contains("rig file:"));
         let named = finding.is_some_and(|line| {
             line.contains("`markers`") && line.contains(&command) && line.contains("mm")
@@ -173,39 +157,31 @@ fn a_replay_ends_with_what_is_wrong_in_the_rig_file() {
 #[test]
 fn the_nodes_parameter_file_sets_the_replay_as_it_sets_the_nodes() {
     let Some(replays) = Replays::new() else { return };
-    let written =
-        |name: &str, more: &[&str]| fs::read(replays.replay("nominal", name, more)).unwrap();
-    let file = |name: &str, text: &str| {
-        let path = replays.path(name);
-        fs::write(&path, text).unwrap();
-        path.into_os_string().into_string().unwrap()
-    };
-    let usual = written("usual", &[]);
+    let written = |more: &str| fs::read(replays.replay("nominal", more)).unwrap();
+    let usual = written("");
     // Of another node, of the same node in another namespace, and defaults.
-    let others = file(
+    replays.place.write(
         "others.yaml",
         "imu_driver: {ros__parameters: {port: /dev/ttyS9}}\n/there/pose_fusion: {ros__parameters: \
          {model: paper}}\n\
          /**: {ros__parameters: {use_sim_time: false, port: /dev/ttyS8, max_predicted: 6, \
          markers: {gate: 16.0}}}\n",
     );
-    assert!(written("others", &["--params-file", &others]) == usual);
-    let paper = file("paper.yaml", "pose_fusion: {ros__parameters: {model: paper}}\n");
-    assert!(
-        written("file", &["--params-file", &paper]) == written("option", &["--model", "paper"])
-    );
-    assert!(written("both", &["--params-file", &paper, "--model", "tight"]) == usual);
-    assert!(written("over", &["--params-file", &others, "--params-file", &paper]) != usual);
-    let tracker =
-        file("tracker.yaml", "marker_tracker: {ros__parameters: {max_centroid_sigma: 0.02}}\n");
-    assert!(written("tracker", &["--params-file", &tracker]) != usual);
+    assert!(written("--params-file others.yaml") == usual);
+    let paper = "pose_fusion: {ros__parameters: {model: paper}}\n";
+    replays.place.write("paper.yaml", paper);
+    assert!(written("--params-file paper.yaml") == written("--model paper"));
+    assert!(written("--params-file paper.yaml --model tight") == usual);
+    assert!(written("--params-file others.yaml --params-file paper.yaml") != usual);
+    let tracker = "marker_tracker: {ros__parameters: {max_centroid_sigma: 0.02}}\n";
+    replays.place.write("tracker.yaml", tracker);
+    assert!(written("--params-file tracker.yaml") != usual);
 }
 
 #[test]
 fn the_default_filter_runs_on_the_published_tracker() {
     let Some(replays) = Replays::new() else { return };
-    let options = ["--params-file", PAPER, "--model", "tight"];
-    let out = replays.replay("nominal", "out", &options);
+    let out = replays.replay("nominal", &format!("{PUBLISHED} --model tight"));
     let estimates = replays.qualities("nominal", out);
     let fused = estimates.iter().find(|q| q.estimate == topics::ODOMETRY).unwrap();
     let (mm, degrees) = (fused.position_mm.rmse, fused.rotation_deg.rmse);
@@ -217,7 +193,6 @@ fn smoothed_odometry_is_more_accurate_and_consistent() {
     let Some(replays) = Replays::new() else { return };
     // The recordings have the rig file's calibration: an allowance for its errors would make the
     // covariance too large.
-    let exact = replays.path("exact.yaml");
     let sigmas = [
         "calibration.focal_length_sigma",
         "calibration.layout_sigma",
@@ -226,10 +201,10 @@ fn smoothed_odometry_is_more_accurate_and_consistent() {
         "clock.climber_sigma",
     ];
     let lines: String = sigmas.map(|name| format!("    {name}: 0.0\n")).concat();
-    fs::write(&exact, format!("pose_fusion:\n  ros__parameters:\n{lines}")).unwrap();
+    replays.place.write("exact.yaml", format!("pose_fusion:\n  ros__parameters:\n{lines}"));
     for name in BAGS {
-        let options = ["--smooth", "--params-file", exact.to_str().unwrap()];
-        let found = replays.qualities(name, replays.replay(name, name, &options));
+        let out = replays.replay(name, "--smooth --params-file exact.yaml");
+        let found = replays.qualities(name, out);
         let of = |topic: &str| found.iter().find(|q| q.estimate == topic).unwrap();
         let (live, smooth) = (of(topics::ODOMETRY), of(topics::SMOOTHED_ODOMETRY));
         println!(
@@ -254,14 +229,13 @@ fn smoothed_odometry_is_more_accurate_and_consistent() {
 #[test]
 fn a_bag_that_is_cut_is_replayed_up_to_the_cut() {
     let Some(replays) = Replays::new() else { return };
-    let bytes = fs::read(replays.bags.join("nominal/in.mcap")).unwrap();
-    let [cut, out] = ["cut.mcap", "out.mcap"].map(|name| replays.path(name));
-    fs::write(&cut, &bytes[..bytes.len() / 2]).unwrap();
-    let output = replay(&cut, &replays.bags.join("nominal/rig.yaml"), &out, &[]);
-    let printed = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{printed}");
+    let (place, bag) = (&replays.place, replays.bags.join("nominal"));
+    let bytes = fs::read(bag.join("in.mcap")).unwrap();
+    place.write("cut.mcap", &bytes[..bytes.len() / 2]);
+    let rig = bag.join("rig.yaml");
+    let printed = place.done(&format!("replay cut.mcap --rig {} --out out.mcap", rig.display()));
     assert!(printed.lines().any(|l| l.contains("cut.mcap") && l.contains("cut off")), "{printed}");
-    let last = replays.qualities("nominal", out)[0].last_s;
+    let last = replays.qualities("nominal", place.path("out.mcap"))[0].last_s;
     assert!((5.0..7.0).contains(&last), "half of 12 s: {last}");
 }
 
@@ -291,16 +265,15 @@ fn the_figures_are_those_of_the_tracked_table() {
          rotation_rmse_deg,rotation_max_deg,nees_position,nees_rotation"
             .to_owned(),
     ];
-    let models: [(&str, [&str; 2], &[&str]); 4] = [
-        ("tight", ["--model", "tight"], &BAGS),
-        ("paper", ["--model", "paper"], &BAGS),
-        (WHOLE, ["--params-file", PAPER], &BAGS),
-        (WHOLE, ["--params-file", PAPER], &WITHOUT_IMAGES),
+    let models: [(&str, &str, &[&str]); 4] = [
+        ("tight", "--model tight", &BAGS),
+        ("paper", "--model paper", &BAGS),
+        (WHOLE, PUBLISHED, &BAGS),
+        (WHOLE, PUBLISHED, &WITHOUT_IMAGES),
     ];
     for (model, options, names) in models {
         for bag in names {
-            let out = replays.replay(bag, &format!("{bag}_{model}"), &options);
-            for quality in replays.qualities(bag, out) {
+            for quality in replays.qualities(bag, replays.replay(bag, options)) {
                 // The fused pose is the inverted odometry, which another test covers.
                 if quality.estimate != topics::FUSED_POSE {
                     lines.push(row(bag, model, &quality));
