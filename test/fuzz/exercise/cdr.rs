@@ -1,6 +1,5 @@
-//! Messages: CDR of each type that a node or a tool subscribes to or reads from a bag, by our own
-//! reader (bags) and by the middleware's (the wire), and what the nodes make of them before a core
-//! sees them.
+//! Messages: CDR of each type that a node or a tool subscribes to or reads from a bag, by the codec
+//! of bags and of the wire, and what the nodes make of them before a core sees them.
 
 use climber_driver::{Climber, ClimberConfig};
 use node_kit::{convert, parameters::messages};
