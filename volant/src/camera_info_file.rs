@@ -26,6 +26,22 @@ pub fn write(path: &Path, camera: &CameraModel, name: Option<&str>) -> Result<Op
     Ok(Some(replace(path, after.as_bytes())?))
 }
 
+/// Checks before the work for it that [`write`] will be able to write a file.
+///
+/// # Errors
+/// As [`write`].
+pub fn check(path: &Path) -> Result<()> {
+    if !path.exists() {
+        return Ok(files::check_outputs(&[path], false, &[])?);
+    }
+    let any =
+        CameraModel::new(640, 480, [600.0, 600.0, 320.0, 240.0], Distortion::PlumbBob([0.0; 5]))?;
+    let before = files::read_text(path).with_context(|| path.display().to_string())?;
+    updated(&before, &any, None)
+        .map(drop)
+        .with_context(|| format!("{}; or name another file with --out", path.display()))
+}
+
 /// A new file's text.
 fn text(camera: &CameraModel, name: &str) -> Result<String> {
     let form = "image_width: 0\nimage_height: 0\ncamera_name: camera\n\
@@ -82,6 +98,7 @@ mod tests {
         assert_eq!(write(&path, &camera, None).unwrap(), None);
         let text = fs::read_to_string(&path).unwrap();
         assert_eq!(CameraModel::from_calibration_file(&text).unwrap(), camera);
+        check(&path).unwrap();
         let own = format!("# lens 8 mm\n{text}serial: 0815 # on the label\n");
         fs::write(&path, &own).unwrap();
         let rational = Distortion::RationalPolynomial([0.5; 8]);
@@ -93,7 +110,11 @@ mod tests {
         assert!(text.starts_with("# lens 8 mm\nimage_width: 640\n"), "{text}");
         assert!(text.contains("camera_name: camera\n") && text.ends_with("# on the label\n"));
         fs::write(&path, "a: [").unwrap();
-        let error = format!("{:#}", write(&path, &other, None).unwrap_err());
-        assert!(error.contains("camera.yaml"), "{error}");
+        for refused in [write(&path, &other, None).map(drop), check(&path)] {
+            let error = format!("{:#}", refused.unwrap_err());
+            assert!(error.contains("camera.yaml"), "{error}");
+        }
+        check(&folder.path().join("new.yaml")).unwrap();
+        assert!(check(&folder.path().join("no/new.yaml")).is_err());
     }
 }

@@ -84,6 +84,21 @@ fn a_transform_stamped_in_another_year_does_not_stretch_the_output() {
     assert!(end - start < 10_000_000_000, "{start} to {end}");
 }
 
+/// A bag that was played and recorded again is logged years after its stamps.
+#[test]
+fn a_bag_that_was_recorded_again_is_replayed_at_its_stamps() {
+    let (place, simulated) = (Place::with_rig(rig_simulator::RIG_YAML), Simulated::new(5));
+    simulated.write(&place.path("in.mcap"), &simulated.motion(5.0, false), true);
+    copy_bag(&place.path("in.mcap"), &place.path("again.mcap"), |_, message| {
+        message.log_time += 3 * 365 * 86_400 * 1_000_000_000;
+    });
+    place.done("replay again.mcap --rig rig.yaml --out out.mcap");
+    let summary = BagReader::summary(&place.path("out.mcap")).unwrap();
+    let (start, end) = summary.span.unwrap();
+    assert!(end - start < 10_000_000_000, "{start} to {end}");
+    assert_eq!(summary.count("/tf_static"), 1);
+}
+
 /// The filter rejects such samples and goes on without the IMU, and the output with it.
 #[test]
 fn imu_samples_without_a_stamp_leave_nothing_out_of_the_output() {

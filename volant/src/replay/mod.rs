@@ -23,7 +23,7 @@ use marker_tracker::TrackerConfig;
 use output::OutputBag;
 use pipeline::Pipeline;
 use pose_fusion::{Fusion, FusionConfig};
-use rig_model::{Rig, Stamp, topics};
+use rig_model::{Rig, topics};
 use std::{
     path::{Path, PathBuf},
     time::Duration,
@@ -114,13 +114,12 @@ pub fn replay(
     });
     let climber = climber.transpose()?;
     let (start, end) = summary.span.unwrap_or_default();
-    let first = Stamp::from_nanos(i64::try_from(start).unwrap_or(0));
     let write = WriteOptions {
         compression: options.compression,
         replace: options.overwrite,
         ..WriteOptions::default()
     };
-    let out = OutputBag::create(output, write, names, rig, first, options.smooth)?;
+    let out = OutputBag::create(output, write, names, rig, options.smooth)?;
     let mut fusion = Fusion::new(rig.clone(), cores.fusion.clone());
     if options.smooth {
         fusion.keep_for_smoothing();

@@ -34,17 +34,17 @@ pub(super) struct OutputBag {
     count: u64,
     newest: u64,
     patience: f64,
+    /// Rig whose static transforms come with the first message.
+    mountings: Option<Rig>,
 }
 
 impl OutputBag {
-    /// Creates the bag. `first` is the start of the run; `smooth`: smoothed odometry will be
-    /// written.
+    /// Creates the bag. `smooth`: smoothed odometry will be written.
     pub(super) fn create(
         path: &Path,
         options: WriteOptions,
         names: &TopicNames,
         rig: &Rig,
-        first: Stamp,
         smooth: bool,
     ) -> Result<Self, BagError> {
         let mut output = Self {
@@ -55,6 +55,7 @@ impl OutputBag {
             count: 0,
             newest: 0,
             patience: if smooth { PATIENCE_SMOOTHED } else { PATIENCE },
+            mountings: Some(rig.clone()),
         };
         let qos = &Qos::RELIABLE;
         output.add::<msg::MarkerObservations>(names, topics::MARKERS, qos);
@@ -72,8 +73,6 @@ impl OutputBag {
         if smooth {
             output.add::<Odometry>(names, topics::SMOOTHED_ODOMETRY, qos);
         }
-        let transforms = node_kit::convert::static_transforms(rig, first);
-        output.put(topics::absolute::TF_STATIC, first, &transforms)?;
         Ok(output)
     }
 
@@ -127,6 +126,11 @@ impl OutputBag {
         at: Stamp,
         message: &M,
     ) -> Result<(), BagError> {
+        // The input's log time may be years after its stamps: a bag that was played and recorded.
+        if let Some(rig) = self.mountings.take() {
+            let transforms = node_kit::convert::static_transforms(&rig, at);
+            self.put(topics::absolute::TF_STATIC, at, &transforms)?;
+        }
         let time = u64::try_from(at.as_nanos()).unwrap_or(0);
         let entry = (self.topics[topic], cdr::to_bytes(message));
         self.waiting.insert((time, self.count), entry);

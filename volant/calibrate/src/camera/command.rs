@@ -68,6 +68,7 @@ pub fn run(arguments: &CameraArguments) -> Result<()> {
         "--square {}: the edge of a square is a length in meters, such as 0.025",
         arguments.square
     );
+    camera_info_file::check(&arguments.out)?;
     let board = Board { columns, rows, square: arguments.square };
     let (mut views, mut coverage, mut without) =
         (Vec::<View>::new(), Coverage::default(), Vec::new());

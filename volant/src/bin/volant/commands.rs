@@ -165,11 +165,13 @@ pub fn manual(arguments: &Manual) -> anyhow::Result<()> {
             command = command.mut_subcommand(external.name, |c| c.hide(true));
         }
         let overwrite = arguments.overwrite.then_some("--overwrite");
-        let status = process::Command::new(rig)
+        let done = process::Command::new(rig)
             .args(["manual".as_ref(), "--out".as_ref(), arguments.out.as_os_str()])
             .args(overwrite)
-            .status()?;
-        anyhow::ensure!(status.success(), "volant-rig wrote no pages: {status}");
+            .output()?;
+        // Its error names itself, and is one line.
+        let error = String::from_utf8_lossy(&done.stderr);
+        anyhow::ensure!(done.status.success(), "{}", error.trim_end());
     }
     arguments.write(command, true)?;
     let folder = arguments.out.display();

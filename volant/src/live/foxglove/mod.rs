@@ -106,6 +106,9 @@ impl Drop for Foxglove {
 }
 
 /// State shared by the threads of the clients, the tap and the server.
+/// A client has no more subscriptions.
+const SUBSCRIPTIONS: usize = 4096;
+
 #[derive(Default)]
 struct Shared {
     clients: Mutex<Vec<Arc<Client>>>,
@@ -256,7 +259,12 @@ fn handle_request(shared: &Shared, client: &Client, request: FromClient) {
                 let latest: Vec<Arc<Sample>> = {
                     // Locked over both, so that a latched message is sent once.
                     let latched = shared.latched.lock();
-                    client.subscriptions.lock().insert(subscribe.channel_id, subscribe.id);
+                    let mut subscriptions = client.subscriptions.lock();
+                    if subscriptions.len() >= SUBSCRIPTIONS {
+                        return client.send(Message::text(warning("too many subscriptions")));
+                    }
+                    subscriptions.insert(subscribe.channel_id, subscribe.id);
+                    drop(subscriptions);
                     let of_channel =
                         latched.iter().filter(|((id, _), _)| *id == subscribe.channel_id);
                     of_channel.map(|(_, sample)| Arc::clone(sample)).collect()
