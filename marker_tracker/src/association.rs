@@ -227,7 +227,8 @@ impl Search<'_> {
         handicap: f64,
     ) {
         let Geometry { layout, camera } = self.geometry;
-        let Some((pose, rms)) = self.geometry.refine(observations, start, None, 15) else { return };
+        let refined = self.geometry.refine(observations, start, None, 15);
+        let Some((pose, rms, _)) = refined else { return };
         // Beyond 78° a square is a line.
         let up = pose.rotation * Vector3::z();
         if -up.dot(&pose.translation.vector.normalize()) < 0.2 {

@@ -55,7 +55,7 @@ pub(crate) struct PosePrior {
 pub(crate) struct PoseEstimate {
     pub camera_from_volant: Isometry3<f64>,
     /// Of (position, rotation about the camera's axes); m², m·rad, rad².
-    covariance: Matrix6<f64>,
+    pub covariance: Matrix6<f64>,
 }
 
 /// What a pose is estimated with: the markers' layout (volant frame) and the camera.
@@ -69,16 +69,16 @@ impl Geometry<'_> {
     /// Refines a pose (`camera_from_volant`) by Levenberg–Marquardt on the reprojected centroids
     /// and corners, from `start`, in at most `iterations` steps.
     ///
-    /// Returns the pose and the RMS of the centroids' residuals, px. With a prior any number of
-    /// observations suffices; without one, three. `None` where a marker leaves the camera model's
-    /// range.
+    /// Returns the pose, the RMS of the centroids' residuals, px, and the Gauss–Newton matrix, the
+    /// inverse of the pose's covariance. With a prior any number of observations suffices; without
+    /// one, three. `None` where a marker leaves the camera model's range.
     pub fn refine(
         &self,
         observations: &[PoseObservation],
         start: &Isometry3<f64>,
         prior: Option<&PosePrior>,
         iterations: usize,
-    ) -> Option<(Isometry3<f64>, f64)> {
+    ) -> Option<(Isometry3<f64>, f64, Matrix6<f64>)> {
         let mut pose = *start;
         let mut now = self.evaluate(observations, &pose, prior)?;
         let mut damping = 1e-6;
@@ -113,19 +113,7 @@ impl Geometry<'_> {
                 }
             }
         }
-        Some((pose, (now.square / (observations.len().max(1) as f64)).sqrt()))
-    }
-
-    /// A pose with its covariance from observations and a prior: the inverse of the Gauss–Newton
-    /// matrix.
-    pub fn estimate(
-        &self,
-        observations: &[PoseObservation],
-        pose: &Isometry3<f64>,
-        prior: &PosePrior,
-    ) -> Option<PoseEstimate> {
-        let normal = self.evaluate(observations, pose, Some(prior))?.normal;
-        Some(PoseEstimate { camera_from_volant: *pose, covariance: normal.cholesky()?.inverse() })
+        Some((pose, (now.square / (observations.len().max(1) as f64)).sqrt(), now.normal))
     }
 
     /// Predicts a marker's centroid (px) and its covariance (px²).

@@ -252,7 +252,7 @@ impl Verification<'_, '_> {
         }
         let observations = &observations[..count];
         let geometry = self.platform.geometry(self.camera);
-        let (pose, rms) = geometry.refine(observations, &start.pose, None, 20)?;
+        let (pose, rms, _) = geometry.refine(observations, &start.pose, None, 20)?;
         side /= count as f64;
         let shape = (shape_error / count as f64).sqrt();
         // Largest RMS errors of position and size, px: of a layout measured by hand and, with an

@@ -139,7 +139,7 @@ impl Consistency<'_> {
             let observations = &observations[..count];
             let geometry = self.platform.geometry(start.camera);
             let refined = geometry.refine(observations, &start.pose, Some(&prior), 8);
-            let Some((pose, rms)) = refined else { return (start.pose, None) };
+            let Some((pose, rms, _)) = refined else { return (start.pose, None) };
             if count < 2 {
                 return (pose, None);
             }

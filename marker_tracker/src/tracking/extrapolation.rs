@@ -132,8 +132,7 @@ fn combine(
         rotation_sigma: UNKNOWN_SIGMA,
     });
     let start = if n < 3 { prior.camera_from_volant } else { *pose };
-    let observations = &observations[..n];
     let geometry = platform.geometry(camera);
-    let (pose, _) = geometry.refine(observations, &start, Some(&prior), 8)?;
-    geometry.estimate(observations, &pose, &prior)
+    let (pose, _, normal) = geometry.refine(&observations[..n], &start, Some(&prior), 8)?;
+    Some(PoseEstimate { camera_from_volant: pose, covariance: normal.cholesky()?.inverse() })
 }

@@ -95,7 +95,7 @@ impl NoiseModel {
             covariances[color.index()] = rows * (self.correlation() / fit.inflation) + fit.beside;
         }
         let refined = platform.geometry(view.camera).refine(&observations, &view.pose, None, 4);
-        let Some((best, _)) = refined else { return };
+        let Some((best, ..)) = refined else { return };
         let mut chi2 = 0.0;
         for (o, covariance) in observations.iter().zip(&covariances) {
             let Some(p) = platform.layout.projected_centroid(o.color, view.camera, &best) else {
