@@ -25,7 +25,7 @@ const REPROJECTION: (f64, f64) = (0.08, 2.5);
 
 /// How evenly paper is cut by hand: largest deviation of an edge's bias from that of the other
 /// markers, px, and in units of the side (0.8 mm of 76 mm).
-pub(super) const UNEVEN: (f64, f64) = (0.25, 0.01);
+const UNEVEN: (f64, f64) = (0.25, 0.01);
 
 /// Tolerances of a square's shape in the pose of `count` markers: of the width between opposite
 /// edges, px, and of an edge's direction relative to the others, rad. `side`: of the square, px.

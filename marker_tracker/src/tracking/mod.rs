@@ -219,7 +219,7 @@ impl Pipeline {
                 self.state.markers[color].outcome = Outcome::Whole;
             } else if search.determining > 0 {
                 let track = &mut self.state.markers[color];
-                track.outcome = search.run(color, track, &meter, &mut self.state.platform);
+                track.outcome = search.run(color, track, &meter, &self.state.platform);
             }
         }
         search.detected

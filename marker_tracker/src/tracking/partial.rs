@@ -63,7 +63,7 @@ impl<'a, 'p> PartialSearch<'a, 'p> {
         color: MarkerColor,
         track: &mut MarkerTrack,
         meter: &OutlineMeter,
-        platform: &mut PlatformModel,
+        platform: &PlatformModel,
     ) -> Outcome {
         // Rows with their own levels first: they bear a shadow's edge as well as a cover's. Where
         // too few are left, a shadow lies along an edge.
@@ -75,9 +75,6 @@ impl<'a, 'p> PartialSearch<'a, 'p> {
             if track.fit.is_some() {
                 return outcome;
             }
-        }
-        if self.restart(color, track, platform) {
-            return Outcome::Whole;
         }
         let is_old = track.occluded.is_some_and(|images| images >= COLORS_AGE);
         if is_old && self.resample(color, track, meter, platform) {
@@ -101,35 +98,6 @@ impl<'a, 'p> PartialSearch<'a, 'p> {
             (track.appearance, track.edges.levels) = known;
         }
         track.fit.is_some()
-    }
-
-    /// Measures a marker without its adapted geometry where three others determine the pose, and
-    /// restarts the adaptation where that was adapted to a covered square.
-    fn restart(
-        &mut self,
-        color: MarkerColor,
-        track: &mut MarkerTrack,
-        platform: &mut PlatformModel,
-    ) -> bool {
-        if self.determining < 3 || !self.view.is_known {
-            return false;
-        }
-        let mut restarted = || {
-            let outline = platform.nominal_outline(color, self.view)?;
-            let appearance = Appearance::sample(self.image, &outline)?;
-            if !appearance.hue.is_like(&track.appearance.as_ref()?.hue) {
-                return None;
-            }
-            let sampler = Sampler::new(self.image, &appearance.discriminant);
-            let fit = OutlineMeter::default().whole(&sampler, &outline, UNKNOWN)?;
-            platform.restart_covered(color, self.view, &fit).then_some((appearance, fit))
-        };
-        let Some((appearance, fit)) = restarted() else { return false };
-        track.appearance = Some(appearance);
-        track.edges.levels = None;
-        track.fit = Some(fit);
-        self.detected += 1;
-        true
     }
 
     /// Measures one marker and stores the measurement in the track where it is accepted.

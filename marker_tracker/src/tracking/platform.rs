@@ -6,7 +6,7 @@ use crate::{
     geometry::{Geometry, PoseObservation, project_square},
     outline::QuadFit,
     quad::Quad,
-    tracking::{camera::View, consistency::UNEVEN},
+    tracking::camera::View,
 };
 use rig_model::{CameraModel, MarkerColor, MarkerLayout, PerColor};
 
@@ -164,50 +164,6 @@ impl PlatformModel {
     /// Turn (rad) of an outline in its plane.
     pub fn turn_of(&self, color: MarkerColor, view: &View<'_>, fit: &QuadFit) -> Option<f64> {
         Some(self.markers[color].turn + self.compare(color, view, fit)?.turn)
-    }
-
-    /// The outline (px) of a marker as the rig file has it, not turned.
-    pub fn nominal_outline(&self, color: MarkerColor, view: &View<'_>) -> Option<Quad> {
-        project_square(&self.given, color, 0.0, view.camera, &view.pose)
-    }
-
-    /// Restarts the adaptation of a marker whose geometry was adapted while something covered it,
-    /// where a whole outline shows it larger; true where it did.
-    ///
-    /// A cover only makes a square smaller. So the adapted geometry is wrong where the outline is
-    /// wider than that by more than its noise, and as wide as the other markers, which share paper,
-    /// scissors and blooming. Settled geometry is kept: something of the marker's color beside it
-    /// would widen the outline as well.
-    pub fn restart_covered(&mut self, color: MarkerColor, view: &View<'_>, fit: &QuadFit) -> bool {
-        /// Smallest excess of the two widths' sum, px, and largest deficit of either: 4 and 3 times
-        /// an edge's noise of 0.05 px.
-        const EXCESS: f64 = 0.2;
-        const DEFICIT: f64 = 0.15;
-        let others = self.markers.iter().filter(|(c, m)| *c != color && m.is_shape_known());
-        let (mut mean, mut count) = (0.0, 0.0);
-        for (_, m) in others {
-            mean += (m.edge_bias[0] + m.edge_bias[1]) / 2.0;
-            count += 1.0;
-        }
-        let known = &self.markers[color];
-        let adapted = known.edge_bias;
-        let mut fresh = self.clone();
-        fresh.markers[color] = MarkerGeometry::default();
-        fresh.layout.centers[color] = self.given.centers[color];
-        let Some(now) = fresh.compare(color, view, fit) else { return false };
-        let more = [0, 1].map(|k| now.edge_bias[k] - adapted[k]);
-        let limit = UNEVEN.0 + UNEVEN.1 * fit.area.sqrt();
-        // With few updates the levels beside the edges may be the cover's, too.
-        let is_larger = !known.is_turn_known() || more[0] + more[1] > EXCESS;
-        let is_smaller = more.iter().any(|m| *m < -DEFICIT);
-        let is_even = count > 2.0 && now.edge_bias.iter().all(|b| (b - mean / count).abs() < limit);
-        if !known.is_settled() && is_larger && !is_smaller && is_even && now.turn.abs() <= MAX_TURN
-        {
-            fresh.markers[color].init_turn(now.turn);
-            *self = fresh;
-            return true;
-        }
-        false
     }
 
     /// Adapts one marker to a whole outline, one of `detected` markers that determine the view. A
