@@ -19,7 +19,6 @@ pub(super) struct CommonFlow {
     mean: Vector2<f64>,
     /// Standard deviation of a marker's flow about the mean, per axis, px.
     spread: f64,
-    count: f64,
 }
 
 impl CommonFlow {
@@ -49,17 +48,12 @@ impl CommonFlow {
         } else {
             1.0 + mean.norm() * 0.5
         };
-        Self { flows, mean, spread, count }
+        Self { flows, mean, spread }
     }
 
     /// A marker's own flow, else the mean, px.
     pub fn of_marker(&self, color: MarkerColor) -> Vector2<f64> {
         self.flows[color].unwrap_or(self.mean)
-    }
-
-    /// Whether a predicted flow is plausible beside the measured ones.
-    fn admits(&self, flow: &Vector2<f64>) -> bool {
-        self.count < 2.0 || (flow - self.mean).norm() < 4.0 * self.spread + 2.0
     }
 }
 
@@ -94,8 +88,7 @@ impl MarkerTrack {
         self.edges.hide();
         let rigid = rigid
             .zip(self.centroid)
-            .map(|((place, covariance), centroid)| (place - centroid, covariance))
-            .filter(|(flow, _)| common.admits(flow));
+            .map(|((place, covariance), centroid)| (place - centroid, covariance));
         let (flow, covariance) = match rigid {
             _ if !config.use_flow => (Vector2::zeros(), isotropic(self.sigma + 2.0)),
             Some((flow, covariance)) => (flow, covariance + isotropic(POSE_SIGMA)),
