@@ -26,17 +26,6 @@ pub(crate) struct Strictness {
     pub area: f64,
 }
 
-/// Extent of a search.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Extent {
-    /// Fours, until one is good.
-    Quick,
-    /// All fours.
-    Fours,
-    /// Threes, where a marker is hidden.
-    Threes,
-}
-
 /// Maximum number of hypotheses that are returned, half of which are expected to be used.
 const KEEP: usize = 8;
 /// Maximum number of patches per color, and of sets of four and of three (of each three colors)
@@ -45,10 +34,6 @@ const KEEP: usize = 8;
 const PER_COLOR: usize = 24;
 const FOURS: usize = 32;
 const THREES: usize = 32;
-/// Number of sets of four whose pose is estimated before a quick search asks for a good one, and
-/// the score of a good one.
-const BATCH: usize = 4;
-const GOOD: f64 = 0.12;
 
 /// Inserts an item into a list by rank, lowest first, of which the first `most` are kept; of equal
 /// ones the earlier comes first.
@@ -60,19 +45,18 @@ fn insert_ranked<T>(ranked: &mut Vec<(f64, T)>, most: usize, rank: f64, item: T)
     }
 }
 
-/// All hypotheses of four patches (or of three, each three in turn) worth a closer look, best
-/// first, into `found` (cleared before).
+/// All hypotheses of four patches (or, `by_threes`, of each three in turn, where a marker is hidden)
+/// worth a closer look, best first, into `found` (cleared before).
 pub(crate) fn hypotheses(
     geometry: Geometry<'_>,
     patches: &[Patch],
     strictness: Strictness,
-    extent: Extent,
+    by_threes: bool,
     found: &mut Vec<Hypothesis>,
 ) {
     found.clear();
     let layout = geometry.layout;
     let mut search = Search { geometry, patches, strictness, found };
-    let by_threes = extent == Extent::Threes;
     // The most colourful and most square patches first; of wood and cardboard there may be
     // hundreds. Three alone must be whole.
     let mut of: PerColor<Vec<(f64, usize)>> = PerColor::default();
@@ -149,12 +133,7 @@ pub(crate) fn hypotheses(
             }
         }
     }
-    for (count, &(_, indices)) in fours.iter().enumerate() {
-        // Where a quick search has found a good one, the rest of the ranking is left out.
-        let is_good = |h: &Hypothesis| h.score < GOOD;
-        if extent == Extent::Quick && count % BATCH == 0 && search.found.iter().any(is_good) {
-            break;
-        }
+    for (_, indices) in fours {
         search.claim(indices, MarkerColor::ALL);
     }
     found.sort_unstable_by(|a, b| a.score.total_cmp(&b.score));
@@ -291,7 +270,7 @@ mod tests {
         }
         let (geometry, mut found) = (Geometry { layout: &layout, camera: &camera }, Vec::new());
         let strictness = Strictness { reprojection: 0.08, area: 1.8 };
-        hypotheses(geometry, &patches, strictness, Extent::Threes, &mut found);
+        hypotheses(geometry, &patches, strictness, true, &mut found);
         let whole = PerColor([Some(patches[0]), Some(patches[1]), Some(patches[2]), None]);
         assert!(found.iter().any(|h| h.patches == whole), "{found:?}");
     }

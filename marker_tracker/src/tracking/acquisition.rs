@@ -2,7 +2,7 @@
 
 use crate::{
     appearance::Appearance,
-    association::{Extent, Hypothesis, Strictness, hypotheses},
+    association::{Hypothesis, Strictness, hypotheses},
     debug_view::Outcome,
     edge::Tolerance,
     geometry::PoseObservation,
@@ -146,17 +146,14 @@ impl Acquisition {
         let verification = Verification { image, camera, known_camera, platform, meters, palette };
         let mut outcomes = PerColor([Outcome::NoPatch; 4]);
         // Three patches only where no four are confirmed.
-        for (config, extents) in [
-            (coarse, &[Extent::Quick] as &[Extent]),
-            (fine, &[Extent::Quick, Extent::Fours, Extent::Threes]),
-        ] {
+        for (config, sizes) in [(coarse, &[false] as &[bool]), (fine, &[false, true])] {
             self.scanner.scan(image, full, &config);
             for patch in &self.scanner.patches {
                 outcomes[patch.color] = Outcome::NotInLayout;
             }
-            for extent in extents {
+            for by_threes in sizes {
                 let (geometry, patches) = (platform.geometry(camera), &self.scanner.patches);
-                hypotheses(geometry, patches, strictness, *extent, &mut self.found);
+                hypotheses(geometry, patches, strictness, *by_threes, &mut self.found);
                 if let Some(best) = verification.best_of(&self.found, &mut outcomes) {
                     return Ok(best);
                 }
