@@ -20,10 +20,6 @@ use crate::{
 };
 use rig_model::MarkerColor;
 
-/// Sum of the four edges' supports from which on a square is only touched by a cover: each edge was
-/// measured along 83 % of its length on average.
-const TOUCHED: f64 = 3.3;
-
 /// Undetected images in a row from which on a marker's known colors may be out of date (white
 /// balance, another light): one second of a usual camera, in which most covers pass.
 const COLORS_AGE: u16 = 30;
@@ -142,12 +138,8 @@ impl<'a, 'p> PartialSearch<'a, 'p> {
             let edges = if self.view.is_known && !geometry.is_shape_known() { 4 } else { 3 };
             (3.0 * place_sigma, edges, 0.92)
         };
-        let own = || fit.edges.iter().flatten().filter(|e| !e.foreign);
-        let touched = own().count() == 4
-            && own().all(|e| e.support > 0.5)
-            && own().map(|e| e.support).sum::<f64>() > TOUCHED;
-        let supported = own().filter(|e| e.support > support).count();
-        if supported < edges && !(touched && trusted) {
+        let own = fit.edges.iter().flatten().filter(|e| !e.foreign);
+        if own.filter(|e| e.support > support).count() < edges {
             return Outcome::Covered;
         }
         let count = self.detected.min(3);
