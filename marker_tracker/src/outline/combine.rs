@@ -8,9 +8,6 @@ type Edges = [Option<EdgeFit>; 4];
 /// Largest deviation of an edge from the shape, in standard deviations (normal distribution,
 /// two-sided: 5e-4).
 const GATE: f64 = 3.5;
-/// Number of standard deviations by which an edge with something beside it must lie inward of where
-/// the others have it to be that thing's (one-sided: 2.3 %).
-const COVERED: f64 = 2.0;
 
 /// Outline as displacements of its predicted sides.
 pub(super) struct Estimate {
@@ -37,7 +34,6 @@ pub(super) fn combine(
     {
         return Some((estimate, edges));
     }
-    leave_out_a_cover(sides, &mut edges, prior);
     // While an edge contradicts the shape, leave out the one without which the others agree best.
     loop {
         if !has_adjacent(&edges) {
@@ -69,26 +65,6 @@ pub(super) fn combine(
 
 fn has_adjacent(edges: &Edges) -> bool {
     (0..4).any(|i| edges[i].is_some() && edges[(i + 1) % 4].is_some())
-}
-
-/// Leaves out the one edge beside which something else lies, where it lies further inward than the
-/// three others allow: it is that thing's. (A thing that only touches the square leaves its edge
-/// where it is.)
-fn leave_out_a_cover(sides: &[Side; 4], edges: &mut Edges, prior: &ShapePrior) {
-    let is_foreign = |e: &Option<EdgeFit>| e.is_some_and(|e| e.foreign);
-    let mut foreign = (0..4).filter(|i| is_foreign(&edges[*i]));
-    let (Some(i), None) = (foreign.next(), foreign.next()) else { return };
-    let mut others = *edges;
-    let Some(edge) = others[i].take() else { return };
-    if others.iter().flatten().count() < 3 {
-        return;
-    }
-    let Some(estimate) = solve(sides, &others, prior) else { return };
-    let expected = sides[i].normal.dot(&estimate.shift) + prior.edge_bias[i % 2];
-    let rows = (edge.covariance[(0, 0)] - edge.beside).max(0.0);
-    if edge.offset - expected < -COVERED * (prior.tolerance.edge.powi(2) + rows).sqrt() {
-        *edges = others;
-    }
 }
 
 /// Deviation of the edges from the shape.
