@@ -45,8 +45,8 @@ fn insert_ranked<T>(ranked: &mut Vec<(f64, T)>, most: usize, rank: f64, item: T)
     }
 }
 
-/// All hypotheses of four patches (or, `by_threes`, of each three in turn, where a marker is hidden)
-/// worth a closer look, best first, into `found` (cleared before).
+/// All hypotheses of four patches worth a closer look, best first, into `found` (cleared before).
+/// `by_threes`: of each three in turn, where a marker is hidden.
 pub(crate) fn hypotheses(
     geometry: Geometry<'_>,
     patches: &[Patch],
