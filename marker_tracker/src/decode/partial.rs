@@ -58,8 +58,9 @@ impl PartialImage<'_> {
     /// # Errors
     /// As [`decode_compressed`](crate::decode_compressed).
     pub fn whole(&mut self) -> Result<ImageView<'_>, ImageError> {
-        if self.windows.take().is_some() {
+        if self.windows.is_some() {
             decode_compressed_into(self.format, self.data, &mut self.decoder.image)?;
+            self.windows = None;
         }
         Ok(self.view())
     }
@@ -84,6 +85,23 @@ impl PartialImage<'_> {
         match self.windows {
             Some(windows) => Pixels::partial(self.view(), windows, self.data),
             None => Pixels::whole(self.view(), Some(self.data)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_damaged_image_stays_damaged() {
+        let (stamp, mut decoder) = (Stamp::from_nanos(0), Decoder::default());
+        let data = &[0xFF, 0xD8, 0xFF, 0xE0];
+        let windows = Some([Window::default(); 4]);
+        let mut image =
+            PartialImage { stamp, format: "jpeg", data, decoder: &mut decoder, windows };
+        for _ in 0..2 {
+            assert!(image.whole().is_err());
         }
     }
 }
