@@ -6,7 +6,8 @@
 //! twice) where the platform is up to a linear drift: the difference is the climber. From one
 //! [`SPAN`] to the next its mean velocity changes by an amount that does not depend on that drift.
 //! The sums of squares of the differences from the encoders' changes show whether other directions
-//! would explain them; the turn is compared by its change within a span.
+//! would explain them; the turn is compared by its change within a span. The same changes show
+//! whether an axis moves that repeats its reading: its encoder is stuck.
 
 use crate::{
     ekf::propagation::ImuReading,

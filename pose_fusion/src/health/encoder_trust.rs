@@ -7,7 +7,7 @@
 //! reinitializes with them, and the world frame moves with the encoders. Until then the pose keeps
 //! its frame. Which of the two is wrong is not known: after `DISAGREES` the published covariance
 //! contains the distance between them; where the encoders seem to be stuck, only until they have
-//! seemed so for `STUCK_CONFIRMED`. Encoders that are known to be stuck are not adopted before they
+//! seemed so for `STUCK_CONFIRMED`. Encoders that are stuck, or may be, are not adopted before they
 //! move again. Stuck ones that move again, to where a climber can have moved since, and go on
 //! moving on all axes that moved, are right: they are adopted after `RETURNED`.
 
