@@ -110,10 +110,11 @@ impl Filter {
         self.forget_stuck_readings();
         let timeout = self.setup.config.climber.step_timeout;
         let stands = self.climber.standing();
-        let moves = self.history.get(place).is_some_and(|entry| {
-            let sigmas = entry.state.sigmas(CLIMBER_RATE);
-            (0..3).any(|i| stands[i] && entry.state.climber_rate[i].abs() > MOVES * sigmas[i])
-        }) || self.trust.directions.unreported() != [false; 3];
+        let unreported = self.trust.directions.unreported();
+        let moves = self.history.get(place).is_some_and(|Entry { state, .. }| {
+            let (rates, sigmas) = (state.climber_rate, state.sigmas(CLIMBER_RATE));
+            (0..3).any(|i| stands[i] && (unreported[i] || rates[i].abs() > MOVES * sigmas[i]))
+        });
         let suspected = self.climber.may_be_stuck();
         let standing = moves || stands == [true; 3] || suspected;
         let read = self.read_at(place).unwrap_or(at);

@@ -127,7 +127,11 @@ impl ClimberTrack {
                 let last = self.readings.back();
                 if last.is_none_or(|(_, last, _)| last[axis] != values[axis]) {
                     self.has_moved[axis] |= last.is_some();
-                    (self.standing_since[axis], self.stuck[axis]) = (stamp, None);
+                    self.standing_since[axis] = stamp;
+                    // One that moves again shows that the encoders read again.
+                    if self.stuck[axis].is_some() {
+                        self.stuck = [None; 3];
+                    }
                 }
             }
             self.noise.add(stamp, &values)
