@@ -26,10 +26,10 @@ pub fn write(path: &Path, camera: &CameraModel, name: Option<&str>) -> Result<Op
     Ok(Some(replace(path, after.as_bytes())?))
 }
 
-/// Checks before the work for it that [`write`] will be able to write a file.
+/// Checks before the work for it that [`write()`] will be able to write a file.
 ///
 /// # Errors
-/// As [`write`].
+/// As [`write()`].
 pub fn check(path: &Path) -> Result<()> {
     if !path.exists() {
         return Ok(files::check_outputs(&[path], false, &[])?);

@@ -162,15 +162,16 @@ impl Filter {
     ) {
         let count = self.climber.readings_in(CORRELATED_FOR);
         let stuck = self.climber.may_be_stuck();
-        // Beside an axis that is stuck the others are right.
-        let right = Vector3::from_fn(|i, _| {
-            let nis = innovation.residual[i].powi(2) / innovation.covariance[(i, i)];
-            f64::from(u8::from(!(stuck && nis <= CONTRADICTION)))
+        // Beside an axis that is stuck the others keep their own noise.
+        let residuals = Vector3::from_fn(|i, _| {
+            let residual = innovation.residual[i].abs();
+            let fits = residual * residual <= CONTRADICTION * innovation.covariance[(i, i)];
+            if stuck && fits { 0.0 } else { residual }
         });
         if let Some(entry) = self.history.get_mut(place)
             && let Event::Encoders { reading, excluded, .. } = &mut entry.event
         {
-            let mut sigmas = innovation.residual.abs().component_mul(&right);
+            let mut sigmas = residuals;
             (0..3).filter(|i| !moving[*i]).for_each(|i| sigmas[i] = UNMEASURED);
             reading.variance = reading.variance.sup(&(sigmas.component_mul(&sigmas) * count));
             *excluded = false;
