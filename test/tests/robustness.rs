@@ -5,11 +5,11 @@
 use nalgebra::Vector3;
 use pose_fusion::{Fusion, FusionConfig, Input, ekf::consider::CLIMBER_OFFSET};
 use rig_model::Sample;
-use rig_simulator::recording::Recording;
+use rig_simulator::{motion::MotionConfig, recording::Recording};
 use test_support::place::Place;
 use volant_test::robustness::{
     perturbation::{PERTURBED_FROM, Perturbation, TABLE},
-    recording::read,
+    recording::{read, simulated},
     score,
     table::{Bench, pairs},
 };
@@ -127,6 +127,29 @@ fn two_perturbations_keep_the_pose_bounded() {
         for (first, second) in pairs() {
             assert_eq!(bench.pair(&first, &second), None, "{name}: {first}, {second}");
         }
+    }
+}
+
+/// Largest error of a valid pose below a parked climber, m, and the share that is valid at least:
+/// errors of the IMU look like a climber that moves while its encoders stand.
+const PARKED_FAR: f64 = 0.12;
+const PARKED_VALID: f64 = 0.85;
+
+#[test]
+fn below_a_parked_climber_the_pose_stays_valid_and_near() {
+    let (climber_speed, climber_turn_rate) = (0.0, 0.0);
+    let motion = MotionConfig::nominal(30);
+    let parked =
+        simulated(MotionConfig { climber_speed, climber_turn_rate, duration: 30.0, ..motion })
+            .unwrap();
+    for perturbation in TABLE {
+        let mut recording = parked.clone();
+        perturbation.apply(&mut recording);
+        let samples = score::run(&recording, &FusionConfig::default()).samples;
+        let valid: Vec<_> = samples.iter().filter(|sample| sample.valid).collect();
+        let far = valid.iter().map(|sample| sample.position.norm()).fold(0.0, f64::max);
+        let share = valid.len() as f64 / samples.len() as f64;
+        assert!(far < PARKED_FAR && share > PARKED_VALID, "{perturbation}: {far} m, {share} valid");
     }
 }
 

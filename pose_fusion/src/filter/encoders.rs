@@ -113,16 +113,16 @@ impl Filter {
         let unreported = self.trust.directions.unreported();
         let moves = self.history.get(place).is_some_and(|Entry { state, .. }| {
             let (rates, sigmas) = (state.climber_rate, state.sigmas(CLIMBER_RATE));
-            (0..3).any(|i| stands[i] && (unreported[i] || rates[i].abs() > MOVES * sigmas[i]))
+            (0..3).any(|i| stands[i] && rates[i].abs() > MOVES * sigmas[i])
         });
-        let suspected = self.climber.may_be_stuck();
-        let standing = moves || stands == [true; 3] || suspected;
+        let shown = (0..3).any(|i| stands[i] && unreported[i]);
+        let standing = moves || shown || stands == [true; 3] || self.climber.may_be_stuck();
         let read = self.read_at(place).unwrap_or(at);
         let (moves_on, since) = (self.climber.moves_on(read), self.climber.standing_since());
         let suspended = self.trust.suspended_since().unwrap_or(at);
         let earliest = suspended.plus_seconds(-self.encoder_offset() - SUSPECT);
         let axis_stopped = (0..3).any(|i| stands[i] && since[i].is_some_and(|s| s > earliest));
-        let seen = EncoderEvidence { standing, axis_stopped, suspected, moves, moves_on };
+        let seen = EncoderEvidence { standing, axis_stopped, moves, shown, moves_on };
         match self.trust.judge(at, innovation.nis, &innovation.residual, seen, timeout) {
             Verdict::Exclude => {
                 let moving = self.climber.moving();

@@ -11,7 +11,10 @@
 
 use crate::{
     ekf::propagation::ImuReading,
-    timeline::{dropout::GAP, history::History},
+    timeline::{
+        dropout::GAP,
+        history::{Entry, History},
+    },
 };
 use nalgebra::{Matrix2, Matrix4, UnitQuaternion, Vector2, Vector3, Vector4};
 use rig_model::{Stamp, wrap_angle};
@@ -40,10 +43,10 @@ const MISSED: [f64; 2] = [1.0, 0.5];
 /// Changes of velocity that no climber makes in a span, m/s: readings that leap.
 const LEAPS: f64 = 1.0;
 
-/// Memory of motion that an axis does not report, s, and its smallest sum of squares: rails,
-/// (m/s)² s; turn, rad² s.
+/// Memory of motion that an axis does not report, s, and its smallest sums of squares: x and y,
+/// (m/s)² s; turn without and with the errors of the gyroscope, rad² s.
 const RECENT: f64 = 1.0;
-const UNREPORTED: [f64; 2] = [0.002, 0.0007];
+const UNREPORTED: Vector4<f64> = Vector4::new(0.0012, 0.0012, 0.0004, 0.0007);
 /// Readings that differ by less repeat, m and rad.
 const EQUAL: f64 = 1e-6;
 
@@ -81,6 +84,8 @@ struct ClimberInstant {
     stamp: Stamp,
     /// As images and IMU show it: x and y up to a linear drift, turn up to a constant.
     shown: Vector3<f64>,
+    /// The same by IMU readings without their estimated errors.
+    calibrated: Vector3<f64>,
     /// As the encoders report it.
     read: Vector3<f64>,
 }
@@ -89,12 +94,21 @@ struct ClimberInstant {
 #[derive(Clone, Copy, Debug)]
 struct InertialTrack {
     stamp: Stamp,
-    /// Velocity (m/s) and position (m) from the IMU alone, since the first sample.
-    inertial: [Vector2<f64>; 2],
-    /// Difference of the yaws of IMU and images, with the climber's turn, rad.
-    turn: f64,
+    /// By readings as the IMU sends them, and without their estimated errors.
+    inertial: [Inertial; 2],
     attitude: UnitQuaternion<f64>,
     climber_turn: f64,
+}
+
+/// Motion since the first sample, from the IMU alone.
+#[derive(Clone, Copy, Debug, Default)]
+struct Inertial {
+    /// m/s.
+    velocity: Vector2<f64>,
+    /// m.
+    position: Vector2<f64>,
+    /// Difference of the yaws of IMU and images, with the climber's turn, rad.
+    turn: f64,
 }
 
 /// What is given and another explanation of the motion.
@@ -136,9 +150,11 @@ pub struct EncoderDirections {
     squares: Matrix4<f64>,
     /// Sums of squares of the turn's changes minus and plus those of the encoders, rad² s.
     turn_misfits: [f64; 2],
-    /// Sums of squares over [`RECENT`] of what is shown of axes that repeat their readings: changes of
-    /// velocity beside their mean, (m/s)² s, and of the turn, rad² s.
-    unreported: Vector3<f64>,
+    /// Sum over the seconds of what calibrated readings show beside the encoders, m/s · s.
+    drift: Vector2<f64>,
+    /// Sums of squares over [`RECENT`] of what is shown of axes that repeat their readings, as in
+    /// [`UNREPORTED`].
+    unreported: Vector4<f64>,
     /// What explains the motion better, of the rails or [`TURNED`]; whether it is the only one.
     wrong: Option<(usize, bool)>,
 }
@@ -154,9 +170,9 @@ impl EncoderDirections {
     /// Returns for each axis whether it repeats its reading while images and IMU show that the
     /// climber moves along it.
     pub fn unreported(&self) -> [bool; 3] {
-        let [rails, turn] = UNREPORTED;
-        let [x, y, z] = self.unreported.into();
-        [x > rails, y > rails, z > turn]
+        let [x, y, calibrated, raw] =
+            self.unreported.zip_map(&UNREPORTED, |sum, least| sum > least).into();
+        [x, y, calibrated || raw]
     }
 
     /// Begins a new stretch of the time line: the next sample is not compared with those before.
@@ -176,22 +192,20 @@ impl EncoderDirections {
         let moved = self.newest.and_then(|newest| newest.to(history, place));
         if moved.is_none() {
             self.samples.clear();
-            self.unreported = Vector3::zeros();
+            self.unreported = Vector4::zeros();
         }
         let (attitude, climber_turn) = (state.attitude, state.climber.z);
         let newest = moved.unwrap_or(InertialTrack {
             stamp,
-            inertial: [Vector2::zeros(); 2],
-            turn: 0.0,
+            inertial: [Inertial::default(); 2],
             attitude,
             climber_turn,
         });
         self.newest = Some(newest);
         let beside = state.position.xy() - state.climber.xy();
-        let at = newest.inertial[1] - beside;
-        let sample =
-            ClimberInstant { stamp, shown: Vector3::new(at.x, at.y, newest.turn), read: *read };
-        self.compare(sample);
+        let [shown, calibrated] =
+            newest.inertial.map(|inertial| (inertial.position - beside).push(inertial.turn));
+        self.compare(ClimberInstant { stamp, shown, calibrated, read: *read });
         let old = |s: &ClimberInstant| stamp.seconds_since(s.stamp) > 2.0 * SPAN + NEAR;
         while self.samples.front().is_some_and(old) {
             self.samples.pop_front();
@@ -224,18 +238,24 @@ impl EncoderDirections {
             *sum = *sum * fade + (turn - sign * read).powi(2) * dt;
         }
         let stood = (middle.read - last.read).map(|way| way.abs() < EQUAL);
-        self.add_unreported(2, stood.z, turn, dt);
+        // The estimate takes the turn of an encoder stuck before the first pose for a bias of the
+        // gyroscope, which the raw readings show; they contain the true bias and need more.
+        let calibrated = wrap_angle(last.calibrated.z - middle.calibrated.z);
+        self.add_unreported(2, stood.z, calibrated, dt);
+        self.add_unreported(3, stood.z, turn, dt);
         let read = self.change(&last, |s| s.read.xy());
         let shown = self.change(&last, |s| s.shown.xy());
         if let Some((read, shown)) = read.zip(shown)
             && read.amax() < LEAPS
         {
+            let moved = self.change(&last, |s| s.calibrated.xy()).unwrap_or_default();
+            // A lasting difference is a bias or a tilt.
+            let drift = self.drift / self.seconds.max(NEAR);
             for i in 0..2 {
-                // A lasting difference is a bias or a tilt.
-                let mean = (self.sum[2 + i] - self.sum[i]) / self.seconds.max(NEAR);
-                let moved = if self.seconds > COMPARED { shown[i] - mean } else { 0.0 };
-                self.add_unreported(i, stood[i] && read[i].abs() < EQUAL, moved, dt);
+                let stood = stood[i] && read[i].abs() < EQUAL && self.seconds > COMPARED;
+                self.add_unreported(i, stood, moved[i] - drift[i], dt);
             }
+            self.drift = self.drift * fade + (moved - read) * dt;
             let both = Vector4::new(read.x, read.y, shown.x, shown.y);
             self.seconds = self.seconds * fade + dt;
             self.sum = self.sum * fade + both * dt;
@@ -306,6 +326,20 @@ impl EncoderDirections {
     }
 }
 
+impl Inertial {
+    /// Goes on from one entry of the history to the next, after `dt` seconds.
+    fn advance(&mut self, from: &Entry, to: &Entry, dt: f64, of: fn(&Entry) -> ImuReading) {
+        let [force, rate] = [from, to].iter().fold([Vector3::zeros(); 2], |[f, r], e| {
+            let ImuReading { specific_force, angular_velocity } = of(e);
+            [f + e.state.attitude * specific_force, r + e.state.attitude * angular_velocity]
+        });
+        let gained = force.xy() * (dt / 2.0);
+        self.position += (self.velocity + gained / 2.0) * dt;
+        self.velocity += gained;
+        self.turn += rate.z * (dt / 2.0);
+    }
+}
+
 impl InertialTrack {
     /// Returns what follows at a later place; `None` where the IMU samples do not lead there.
     fn to(mut self, history: &History, place: usize) -> Option<Self> {
@@ -319,20 +353,17 @@ impl InertialTrack {
             if dt > GAP || to.noise.force > MISSED[0] || to.noise.rate > MISSED[1] {
                 return None;
             }
-            // The biases would be estimated so that they explain what is wrong.
-            let [force, rate] = [from, to].iter().fold([Vector3::zeros(); 2], |[f, r], e| {
-                let ImuReading { specific_force, angular_velocity } = &e.reading;
-                [f + e.state.attitude * specific_force, r + e.state.attitude * angular_velocity]
-            });
-            let [velocity, position] = &mut self.inertial;
-            let gained = force.xy() * (dt / 2.0);
-            *position += (*velocity + gained / 2.0) * dt;
-            *velocity += gained;
-            self.turn += rate.z * (dt / 2.0);
+            // For the directions the biases would be estimated so that they explain what is wrong.
+            let measured = |e: &Entry| e.reading.clone();
+            let calibrated = |e: &Entry| e.state.motion(&e.reading);
+            self.inertial[0].advance(from, to, dt, measured);
+            self.inertial[1].advance(from, to, dt, calibrated);
         }
         let state = &history.get(place)?.state;
         let turned = (state.attitude * self.attitude.inverse()).scaled_axis().z;
-        self.turn += wrap_angle(state.climber.z - self.climber_turn) - turned;
+        for inertial in &mut self.inertial {
+            inertial.turn += wrap_angle(state.climber.z - self.climber_turn) - turned;
+        }
         self.stamp = history.get(place)?.stamp;
         (self.attitude, self.climber_turn) = (state.attitude, state.climber.z);
         Some(self)

@@ -7,9 +7,9 @@
 //! reinitializes with them, and the world frame moves with the encoders. Until then the pose keeps
 //! its frame. Which of the two is wrong is not known: after `DISAGREES` the published covariance
 //! contains the distance between them; where the encoders seem to be stuck, only until they have
-//! seemed so for `STUCK_CONFIRMED`. Encoders that are stuck, or may be, are not adopted before they
-//! move again. Stuck ones that move again, to where a climber can have moved since, and go on
-//! moving on all axes that moved, are right: they are adopted after `RETURNED`.
+//! seemed so for `STUCK_CONFIRMED`. Encoders that are stuck are not adopted before they move again.
+//! Stuck ones that move again, to where a climber can have moved since, and go on moving on all
+//! axes that moved, are right: they are adopted after `RETURNED`.
 
 use super::encoder_directions::EncoderDirections;
 use nalgebra::Vector3;
@@ -34,8 +34,8 @@ const RETURNED: f64 = 0.2;
 const EXPLAINED: f64 = 0.2;
 /// A reading is consistent below this NIS (one degree of freedom; 3 sigma).
 const CONSISTENT_NIS: f64 = 9.0;
-/// Standing readings are consistent within this distance, m and rad, however uncertain the estimate
-/// has become without them.
+/// Readings that still stand after the climber was shown to move are consistent within this
+/// distance, m and rad, however uncertain the estimate has become without them.
 const CONSISTENT_DISTANCE: f64 = 0.05;
 
 /// What to do with a reading while the encoders are suspended.
@@ -69,10 +69,10 @@ pub struct EncoderEvidence {
     pub standing: bool,
     /// An axis has stood since about when the encoders were suspended: it may be stuck.
     pub axis_stopped: bool,
-    /// An axis may be stuck: it stood when the encoders were suspended, and has not moved since.
-    pub suspected: bool,
-    /// The climber moves, by the estimate or as images and IMU show it, along axes that stand.
+    /// The estimate of the climber moves.
     pub moves: bool,
+    /// Images and IMU show that the climber moves along an axis that stands.
+    pub shown: bool,
     /// The reading is the first that differs after equal ones, and a climber can have moved there.
     pub moves_on: bool,
 }
@@ -92,6 +92,8 @@ pub struct EncoderTrust {
     returned: Option<Stamp>,
     /// Last time that the filter was tried without encoders that stand, or found them not stuck.
     tried: Option<Stamp>,
+    /// Images and IMU have shown since the suspension that the climber moves along standing axes.
+    shown: bool,
     /// Since when each axis stood that may be stuck, where the oldest state has followed it.
     pub followed: Option<[Option<Stamp>; 3]>,
     /// Whether images and IMU show the directions that the encoders report.
@@ -150,7 +152,7 @@ impl EncoderTrust {
         let contradicts = at.seconds_since(*since);
         if seen.standing {
             self.returned = None;
-            if seen.moves && contradicts > DISAGREES && *cause != Cause::Stuck {
+            if (seen.moves || seen.shown) && contradicts > DISAGREES && *cause != Cause::Stuck {
                 *cause = Cause::Stuck;
                 self.stuck_since = Some(at);
             }
@@ -159,7 +161,9 @@ impl EncoderTrust {
             self.returned = seen.moves_on.then_some(at);
         }
         let stuck = *cause == Cause::Stuck;
-        let near = !seen.standing || !seen.moves && residual.amax() < CONSISTENT_DISTANCE;
+        self.shown |= seen.shown;
+        let known = !self.shown || residual.amax() < CONSISTENT_DISTANCE;
+        let near = !seen.standing || !seen.shown && known;
         if nis < CONSISTENT_NIS && near {
             self.consistent += 1;
             self.consistent_since.get_or_insert(at);
@@ -174,7 +178,7 @@ impl EncoderTrust {
             self.reset();
             Verdict::Resume
         } else if !stuck
-            && !seen.suspected
+            && !(seen.standing && self.shown)
             && self.consistent == 0
             && (returned || contradicts > timeout)
         {
@@ -228,8 +232,8 @@ mod tests {
     const CONTRADICTING: EncoderEvidence = EncoderEvidence {
         standing: false,
         axis_stopped: false,
-        suspected: false,
         moves: false,
+        shown: false,
         moves_on: false,
     };
     const RETURNS: EncoderEvidence = EncoderEvidence { moves_on: true, ..CONTRADICTING };
@@ -248,16 +252,22 @@ mod tests {
         assert_eq!(trust.judge(at(60), 1.0, &off, CONTRADICTING, 3.0), Verdict::Resume);
         assert!(!trust.is_suspended());
         trust.suspend(at(70), Cause::Contradiction, false);
-        // However uncertain the estimate is, standing readings far from it are not consistent.
-        let resumes = |residual: &Vector3<f64>, seen: EncoderEvidence| {
+        let resumes = |trust: &EncoderTrust, residual: &Vector3<f64>, seen: EncoderEvidence| {
             let mut trust = trust.clone();
             let verdict = |k: i64| trust.judge(at(80 + 20 * k), 1.0, residual, seen, 3.0);
             (0..60i64).map(verdict).position(|verdict| verdict == Verdict::Resume)
         };
         let near = Vector3::new(0.04, 0.0, 0.0);
-        assert_eq!(resumes(&near, STANDS), Some(51));
-        assert_eq!(resumes(&near, STUCK), None, "images and IMU show that the climber moves");
-        assert_eq!(resumes(&off, STANDS), None);
+        assert_eq!(resumes(&trust, &off, STANDS), Some(51));
+        // However uncertain the estimate is, readings that still stand after images and IMU have
+        // shown motion are consistent near it only, and are not adopted.
+        let shown = EncoderEvidence { shown: true, ..STANDS };
+        assert_eq!(resumes(&trust, &near, shown), None);
+        let mut moved = trust.clone();
+        assert_eq!(moved.judge(at(90), 500.0, &off, shown, 3.0), Verdict::Exclude);
+        assert_eq!(resumes(&moved, &off, STANDS), None);
+        assert_eq!(resumes(&moved, &near, STANDS), Some(51));
+        assert_eq!(moved.judge(at(9000), 500.0, &off, STANDS, 3.0), Verdict::Exclude);
         trust.suspend(at(100), Cause::Contradiction, false);
         trust.suspend(at(2000), Cause::Contradiction, false);
         assert_eq!(trust.judge(at(2100), 1e6, &off, CONTRADICTING, 3.0), Verdict::Exclude);
@@ -270,8 +280,6 @@ mod tests {
         let mut stopped = EncoderTrust::default();
         stopped.suspend(at(0), Cause::Contradiction, false);
         let mut moving = stopped.clone();
-        let suspected = EncoderEvidence { suspected: true, ..STANDS };
-        assert_eq!(stopped.judge(at(3980), 1e6, &off, suspected, 3.0), Verdict::Exclude);
         assert_eq!(stopped.judge(at(4000), 1e6, &off, STANDS, 3.0), Verdict::Adopt);
         assert_eq!(moving.judge(at(200), 1e6, &off, STUCK, 3.0), Verdict::Exclude);
         assert_eq!(moving.judge(at(400), 1e6, &off, STUCK, 3.0), Verdict::Exclude);

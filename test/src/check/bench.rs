@@ -6,12 +6,7 @@ use marker_tracker::TrackerConfig;
 use pose_fusion::Input;
 use rig_calibration::{Configured, Report, Samples, Track, Verdict, check};
 use rig_model::{CameraModel, Distortion, MarkerLayout, Rig};
-use rig_simulator::{
-    RIG_YAML,
-    inertial::SensorConfig,
-    motion::{Motion, MotionConfig},
-    recording::Recording,
-};
+use rig_simulator::{motion::MotionConfig, recording::Recording};
 use std::path::{Path, PathBuf};
 use volant::{calibration::track_bag, replay::TopicNames};
 
@@ -73,10 +68,7 @@ impl Bench {
 
     /// Simulates a run with a motion and its seed.
     pub fn of_motion(config: MotionConfig) -> anyhow::Result<Self> {
-        let lens = Distortion::PlumbBob([-0.23, 0.082, 7e-4, -4e-4, -0.006]);
-        let camera = CameraModel::new(640, 480, [591.3, 589.7, 319.3, 235.2], lens)?;
-        let (rig, sensors) = (Rig::from_yaml(RIG_YAML)?, SensorConfig::nominal(config.seed));
-        Self::new(Recording::simulated(rig, camera, &Motion::new(config), &sensors), None)
+        Self::new(recording::simulated(config)?, None)
     }
 
     fn new(recording: Recording, images: Option<PathBuf>) -> anyhow::Result<Self> {

@@ -7,8 +7,14 @@ use bag::{
 };
 use nalgebra::Isometry3;
 use pose_fusion::Input;
-use rig_model::Stamp;
-use rig_simulator::{random::Random, recording::Recording};
+use rig_model::{CameraModel, Distortion, Rig, Stamp};
+use rig_simulator::{
+    RIG_YAML,
+    inertial::SensorConfig,
+    motion::{Motion, MotionConfig},
+    random::Random,
+    recording::Recording,
+};
 use std::{
     fs,
     path::{Path, PathBuf},
@@ -27,6 +33,14 @@ pub fn folders(bags: &Path, only: &str) -> anyhow::Result<Vec<PathBuf>> {
         .collect();
     folders.sort();
     Ok(folders)
+}
+
+/// Simulates a run on the simulator's rig; the motion's seed is the sensors' as well.
+pub fn simulated(motion: MotionConfig) -> anyhow::Result<Recording> {
+    let lens = Distortion::PlumbBob([-0.23, 0.082, 7e-4, -4e-4, -0.006]);
+    let camera = CameraModel::new(640, 480, [591.3, 589.7, 319.3, 235.2], lens)?;
+    let (rig, sensors) = (Rig::from_yaml(RIG_YAML)?, SensorConfig::nominal(motion.seed));
+    Ok(Recording::simulated(rig, camera, &Motion::new(motion), &sensors))
 }
 
 /// Reads a folder with `in.mcap`, `rig.yaml`, `truth.mcap` and `truth_markers.csv`.

@@ -19,7 +19,8 @@ fn add(
     for t in (0..count).map(|i| seconds.start + f64::from(i) / 30.0) {
         let drift = Vector3::new(0.4 * t + 0.02 * t * t, -3.0, 0.5);
         let (stamp, at) = (epoch.plus_seconds(t), climber(t));
-        let instant = ClimberInstant { stamp, shown: at + drift, read: read(t) };
+        let instant =
+            ClimberInstant { stamp, shown: at + drift, calibrated: at + drift, read: read(t) };
         directions.compare(instant);
     }
 }
@@ -60,14 +61,17 @@ fn motion_along_an_axis_that_repeats_its_reading_is_unreported_until_it_moves() 
         add(&mut directions, 9.0..10.0, climber);
         assert_eq!(directions.unreported(), [false; 3]);
     }
-    // A climber that stands, with the drift of the IMU.
-    let mut directions = EncoderDirections::default();
-    let epoch = Stamp::from_nanos(1_760_001_000_000_000_000);
-    for t in (0..300).map(|i| f64::from(i) / 30.0) {
-        let shown = Vector3::new(0.4 * t + 0.1 * t * t, -3.0, 0.5);
-        let read = Vector3::new(0.2, 0.3, 0.1);
-        directions.compare(ClimberInstant { stamp: epoch.plus_seconds(t), shown, read });
-        assert_eq!(directions.unreported(), [false; 3]);
+    // Encoders that stand, with drift and bias of the IMU, of which the estimate knows the second.
+    for (bias, unreported) in [(0.05, false), (0.1, true)] {
+        let mut directions = EncoderDirections::default();
+        let epoch = Stamp::from_nanos(1_760_001_000_000_000_000);
+        for t in (0..300).map(|i| f64::from(i) / 30.0) {
+            let shown = Vector3::new(0.4 * t + 0.1 * t * t, -3.0, 0.5 + bias * t);
+            let calibrated = Vector3::new(shown.x, shown.y, 0.5);
+            let (stamp, read) = (epoch.plus_seconds(t), Vector3::new(0.2, 0.3, 0.1));
+            directions.compare(ClimberInstant { stamp, shown, calibrated, read });
+        }
+        assert_eq!(directions.unreported(), [false, false, unreported], "{bias} rad/s");
     }
 }
 
