@@ -240,8 +240,8 @@ impl Climber {
         self.check_jump(&last, now).map(Some)
     }
 
-    /// Indices of the configured joints in the message, `None` for an axis without one; `None` if it
-    /// contains none of them.
+    /// Indices of the configured joints in the message, `None` for an axis without one; `None` if
+    /// it contains none of them.
     fn joint_indices(&self, reading: &JointReading) -> Result<Option<[Option<usize>; 3]>, Warning> {
         let mut indices = [None; 3];
         for (slot, joint) in indices.iter_mut().zip(&self.config.joints) {

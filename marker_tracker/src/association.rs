@@ -29,8 +29,8 @@ pub(crate) struct Strictness {
 /// Maximum number of hypotheses that are returned, half of which are expected to be used.
 const KEEP: usize = 8;
 /// Maximum number of patches per color, and of sets of four and of three (of each three colors)
-/// whose pose is estimated: they bound the cost of a search. Tuned on cluttered scenes; `make bench`
-/// bounds the time.
+/// whose pose is estimated: they bound the cost of a search. Tuned on cluttered scenes;
+/// `make bench` bounds the time.
 const PER_COLOR: usize = 24;
 const FOURS: usize = 32;
 const THREES: usize = 32;

@@ -114,8 +114,8 @@ pub struct Remap {
     pub to: String,
 }
 
-/// What a name is of: a rule whose name begins with `rostopic://` or `rosservice://` is for one kind
-/// only, as in rcl.
+/// What a name is of: a rule whose name begins with `rostopic://` or `rosservice://` is for one
+/// kind only, as in rcl.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NameKind {
     /// A topic.

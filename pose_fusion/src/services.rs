@@ -1,5 +1,6 @@
 //! Requests of an operator over ROS: services `~/reset`, `~/freeze`, `~/save_checkpoint`,
-//! `~/load_checkpoint`, and the topic `volant/set_pose`, whose covariance must be positive definite.
+//! `~/load_checkpoint`, and the topic `volant/set_pose`, whose covariance must be positive
+//! definite.
 
 use crate::{Checkpoint, Fusion, PoseEstimate, node::Event};
 use node_kit::{

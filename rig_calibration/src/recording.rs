@@ -21,7 +21,8 @@ pub struct Samples {
 
 impl Samples {
     /// Moves the markers to where they are in the middle of the exposure of a rolling shutter that
-    /// takes `readout` s from the first row to the last. The samples are in order ([`Samples::repair`]).
+    /// takes `readout` s from the first row to the last. The samples are in order
+    /// ([`Samples::repair`]).
     pub fn at_one_time(&mut self, readout: f64) {
         if readout == 0.0 {
             return;
@@ -57,8 +58,9 @@ impl Samples {
     }
 }
 
-/// How a rolling shutter moves the markers of each image, px per second of readout: a row is exposed
-/// its share of the readout before or after the middle one. 0 where the image velocity is unknown.
+/// How a rolling shutter moves the markers of each image, px per second of readout: a row is
+/// exposed its share of the readout before or after the middle one. 0 where the image velocity is
+/// unknown.
 fn by_readout(markers: &[MarkerObservations], camera: &CameraModel) -> Vec<[Vector2<f64>; 4]> {
     /// Longest time between two images from which a velocity is computed, s.
     const LONGEST: f64 = 0.35;

@@ -44,8 +44,8 @@ impl fmt::Display for Loss {
 
 /// Steps of the clock that are ignored, ns: a smaller one is over before an image is missed.
 const SET_BACK: i64 = 20_000_000;
-/// Part of the time by which a clock is slewed at most: chrony's `maxslewrate` is 83333 ppm. Samples
-/// keep their order then.
+/// Part of the time by which a clock is slewed at most: chrony's `maxslewrate` is 83333 ppm.
+/// Samples keep their order then.
 const SLEW: i64 = 10;
 
 /// Watches a participant of this process.

@@ -21,8 +21,8 @@ use std::{net::Ipv4Addr, path::PathBuf};
 /// `network` ([`Network::from_environment`]), and a watch that reports when it becomes unusable.
 ///
 /// # Errors
-/// `ROS_SECURITY_STRATEGY` is `Enforce` and the enclave is missing or invalid, or DDS fails to create
-/// the participant (no network interface, no ports).
+/// `ROS_SECURITY_STRATEGY` is `Enforce` and the enclave is missing or invalid, or DDS fails to
+/// create the participant (no network interface, no ports).
 pub fn join(network: &Network) -> Result<(DomainParticipant, MiddlewareWatch), NodeError> {
     join_with(network, &process_log())
 }

@@ -1,4 +1,5 @@
-//! Declared parameters of a node ([`parameters!`](macro@crate::parameters)): store, messages and text.
+//! Declared parameters of a node ([`parameters!`](macro@crate::parameters)): store, messages and
+//! text.
 
 mod common;
 pub mod messages;

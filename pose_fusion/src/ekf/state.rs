@@ -190,28 +190,22 @@ impl State {
         self.sensitivity[(TIME_OFFSET_ERROR, TIME_OFFSET)] = 1.0;
     }
 
-    /// Adds an error of the climber along an axis (0: x, 1: y, 2: turn), 1 sigma in m or rad, and of
-    /// its rate, per s, with which the platform moves as well.
+    /// Adds uncertainty of the climber along an axis (0: x, 1: y, 2: turn): `error` of its place (m
+    /// or rad, 1 sigma) and `rate` of its rate (per s). The platform is moved with it: what images
+    /// show of the two stays as certain as it was.
     pub fn loosen_climber(&mut self, axis: usize, error: f64, rate: f64) {
-        let mut moved = SVector::<f64, 3>::zeros();
-        let mut carried = SVector::<f64, 3>::zeros();
-        if axis < 2 {
-            moved[axis] = 1.0;
+        let (mut place, mut motion) = (Error::zeros(), Error::zeros());
+        let moved = if axis < 2 {
+            Vector3::ith(axis, 1.0)
         } else {
-            carried.z = 1.0;
-            let arm = self.position - self.climber.xy().push(0.0);
-            moved = carried.cross(&arm);
-        }
-        for (first, climber, sigma) in [(POSITION, CLIMBER, error), (VELOCITY, CLIMBER_RATE, rate)]
-        {
-            let mut along = Error::zeros();
-            along.fixed_rows_mut::<3>(first).copy_from(&moved);
-            along[climber + axis] = 1.0;
-            if first == POSITION {
-                along.fixed_rows_mut::<3>(ATTITUDE).copy_from(&carried);
-            }
-            self.covariance += along * along.transpose() * (sigma * sigma);
-        }
+            place[ATTITUDE + 2] = 1.0;
+            Vector3::z().cross(&(self.position - self.climber.xy().push(0.0)))
+        };
+        place.fixed_rows_mut::<3>(POSITION).copy_from(&moved);
+        motion.fixed_rows_mut::<3>(VELOCITY).copy_from(&moved);
+        (place[CLIMBER + axis], motion[CLIMBER_RATE + axis]) = (1.0, 1.0);
+        self.covariance += place * place.transpose() * (error * error);
+        self.covariance += motion * motion.transpose() * (rate * rate);
     }
 
     /// Sets the standard deviation of one entry and clears its correlations and sensitivities.
@@ -251,7 +245,8 @@ mod tests {
             // The platform as the camera sees it: beside the climber, about its axis.
             let seen = |state: &State| {
                 let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -state.climber.z);
-                turn * (state.position - state.climber.xy().push(0.0))
+                let beside = turn * (state.position - state.climber.xy().push(0.0));
+                beside + (turn * state.attitude).scaled_axis()
             };
             let root = 1e-4 * state.covariance.fixed_view::<N, 3>(0, CLIMBER) / 0.3;
             let mut moved = state.clone();

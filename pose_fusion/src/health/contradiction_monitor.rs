@@ -1,12 +1,12 @@
 //! Recovery where images contradict the prediction.
 //!
-//! An image contradicts where at least half of its detected markers are rejected. After `markers.lock_out_images` of
-//! them in a row the filter responds, with the mildest explanation first: encoders that stopped
-//! while the images see the climber drive on are suspended; else the platform was struck, and the
-//! time since the last used image is re-propagated with the process noise of a shock; shocks that
-//! follow each other mean that something else is wrong, and the pose is reinitialized from the
-//! image. The same happens where all images of `STARVED` seconds contradict: a single marker that
-//! still passes its gate keeps no pose that the others contradict.
+//! An image contradicts where at least half of its detected markers are rejected. After
+//! `markers.lock_out_images` of them in a row the filter responds, with the mildest explanation
+//! first: encoders that stopped while the images see the climber drive on are suspended; else the
+//! platform was struck, and the time since the last used image is re-propagated with the process
+//! noise of a shock; shocks that follow each other mean that something else is wrong, and the pose
+//! is reinitialized from the image. The same happens where all images of `STARVED` seconds
+//! contradict: a single marker that still passes its gate keeps no pose that the others contradict.
 //!
 //! Where that happens again and again, no shock explains it: a unit, a sign, a direction or a frame
 //! is wrong, and the pose must not be used.

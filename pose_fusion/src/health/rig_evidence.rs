@@ -14,10 +14,10 @@ use rig_model::Stamp;
 const MEMORY: f64 = 60.0;
 /// Squared innovation of an image above which it counts less: shocks and false markers.
 const LARGEST: f64 = 20.0;
-/// Expected errors (1 sigma) and the smallest ones that are reported, in the order of [`FileErrors`].
-/// With correct files estimates that are [`CERTAIN`] are at most 0.011 s, 0.45 % (size) and 5 %
-/// (encoder scale, which the motion of a climber resembles: not reported), on seven recordings,
-/// three of them with real IMU samples.
+/// Expected errors (1 sigma) and the smallest ones that are reported, in the order of
+/// [`FileErrors`]. With correct files estimates that are [`CERTAIN`] are at most 0.011 s, 0.45 %
+/// (size) and 5 % (encoder scale, which the motion of a climber resembles: not reported), on seven
+/// recordings, three of them with real IMU samples.
 const LIMITS: [(f64, f64); FILE_ERRORS] = [
     (0.01, 0.004),
     (0.005, 0.002),

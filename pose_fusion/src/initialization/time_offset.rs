@@ -105,8 +105,9 @@ impl TimeOffsetSearch {
         newest.zip(self.agrees_since).map_or(0.0, |(newest, since)| newest.seconds_since(since))
     }
 
-    /// Returns the offset once its standard deviation is below 10 ms. Aligns after every third image
-    /// only. `gravity` is in m/s²; `noise` are the IMU's densities, `given` those of the rig file.
+    /// Returns the offset once its standard deviation is below 10 ms. Aligns after every third
+    /// image only. `gravity` is in m/s²; `noise` are the IMU's densities, `given` those of the rig
+    /// file.
     /// `estimated` is the offset that the filter estimates, s.
     pub fn find(
         &mut self,

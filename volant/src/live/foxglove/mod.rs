@@ -328,6 +328,17 @@ mod tests {
     use std::net::Ipv4Addr;
 
     #[test]
+    fn a_client_that_subscribes_for_ever_is_bounded() {
+        let (shared, (client, _outgoing)) = (Shared::default(), Client::new());
+        for first in (0..10 * SUBSCRIPTIONS as u32).step_by(1000) {
+            let ids = first..first + 1000;
+            let subscriptions = ids.map(|id| Subscribe { id, channel_id: id }).collect();
+            handle_request(&shared, &client, FromClient::Subscribe { subscriptions });
+        }
+        assert_eq!(client.subscriptions.lock().len(), SUBSCRIPTIONS);
+    }
+
+    #[test]
     fn an_address_a_port_or_both() {
         let host = IpAddr::V4(Ipv4Addr::LOCALHOST);
         for (text, address) in [

@@ -61,7 +61,8 @@ pub struct Arguments {
     #[arg(long, value_name = "X,Y,Z", value_parser = position, allow_hyphen_values = true)]
     pub platform: Option<Vector3<f64>>,
     /// Also correct camera.position (x, y) and the tilt in camera.orientation of the rig file,
-    /// where the jog shows them, and calibration.mounting_sigma of pose_fusion where the file has it
+    /// where the jog shows them, and calibration.mounting_sigma of pose_fusion where the file has
+    /// it
     #[arg(long)]
     pub camera: bool,
     #[command(flatten)]
