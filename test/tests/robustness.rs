@@ -130,26 +130,42 @@ fn two_perturbations_keep_the_pose_bounded() {
     }
 }
 
-/// Largest error of a valid pose below a parked climber, m, and the share that is valid at least:
-/// errors of the IMU look like a climber that moves while its encoders stand.
-const PARKED_FAR: f64 = 0.12;
-const PARKED_VALID: f64 = 0.85;
+/// Motions that no recording shows: a rig at rest, below a parked climber, and below one that only
+/// drives or only turns.
+fn other_motions() -> [(&'static str, MotionConfig); 4] {
+    let motion = |seed| MotionConfig { duration: 25.0, ..MotionConfig::nominal(seed) };
+    let parked = |seed| MotionConfig { climber_speed: 0.0, climber_turn_rate: 0.0, ..motion(seed) };
+    [
+        (
+            "at rest",
+            MotionConfig { swing: 0.0, wobble: 0.0, yaw: 0.0, duration: 15.0, ..parked(40) },
+        ),
+        ("parked", parked(41)),
+        ("drives", MotionConfig { climber_turn_rate: 0.0, swing: 0.05, ..motion(44) }),
+        ("turns", MotionConfig { climber_turn_rate: 0.3, ..parked(45) }),
+    ]
+}
 
+/// Largest error of a valid pose, m, and the smallest share that is valid.
+const OTHER_FAR: f64 = 0.15;
+const OTHER_VALID: f64 = 0.8;
+
+/// Below a climber that stands, errors of the IMU look like one that moves while its encoders do
+/// not: a rule for stuck encoders had made up to 92 % of the poses invalid.
 #[test]
-fn below_a_parked_climber_the_pose_stays_valid_and_near() {
-    let (climber_speed, climber_turn_rate) = (0.0, 0.0);
-    let motion = MotionConfig::nominal(30);
-    let parked =
-        simulated(MotionConfig { climber_speed, climber_turn_rate, duration: 30.0, ..motion })
-            .unwrap();
-    for perturbation in TABLE {
-        let mut recording = parked.clone();
-        perturbation.apply(&mut recording);
-        let samples = score::run(&recording, &FusionConfig::default()).samples;
-        let valid: Vec<_> = samples.iter().filter(|sample| sample.valid).collect();
-        let far = valid.iter().map(|sample| sample.position.norm()).fold(0.0, f64::max);
-        let share = valid.len() as f64 / samples.len() as f64;
-        assert!(far < PARKED_FAR && share > PARKED_VALID, "{perturbation}: {far} m, {share} valid");
+fn in_other_motions_the_pose_stays_valid_and_near() {
+    for (name, motion) in other_motions() {
+        let unchanged = simulated(motion).unwrap();
+        for perturbation in TABLE {
+            let mut recording = unchanged.clone();
+            perturbation.apply(&mut recording);
+            let samples = score::run(&recording, &FusionConfig::default()).samples;
+            let valid: Vec<_> = samples.iter().filter(|sample| sample.valid).collect();
+            let far = valid.iter().map(|sample| sample.position.norm()).fold(0.0, f64::max);
+            let share = valid.len() as f64 / samples.len() as f64;
+            let about = format!("{name}: {perturbation}");
+            assert!(far < OTHER_FAR && share > OTHER_VALID, "{about}: {far} m, {share} valid");
+        }
     }
 }
 

@@ -5,7 +5,7 @@ use crate::robustness::recording;
 use marker_tracker::TrackerConfig;
 use pose_fusion::Input;
 use rig_calibration::{Configured, Report, Samples, Track, Verdict, check};
-use rig_model::{CameraModel, Distortion, MarkerLayout, Rig};
+use rig_model::{CameraModel, MarkerLayout, Rig};
 use rig_simulator::{motion::MotionConfig, recording::Recording};
 use std::path::{Path, PathBuf};
 use volant::{calibration::track_bag, replay::TopicNames};
