@@ -14,8 +14,11 @@ use std::collections::VecDeque;
 
 /// Images closer together than this add nothing, s.
 const SPACING: f64 = 0.024;
-/// Number of images from one alignment to the next.
+/// Number of images from one alignment to the next …
 const EVERY: usize = 3;
+/// … and after that many alignments: a rig at rest, which says nothing of the offset.
+const EVERY_LATER: usize = 9;
+const SOON: usize = 100;
 /// Floors of the visual pose: position, m, and rotation, rad …
 const FLOOR: [f64; 2] = [0.4e-3, 1e-3];
 /// … and what is left of the IMU's noise in the window when initial state and biases are fitted, as
@@ -33,6 +36,7 @@ pub struct TimeOffsetSearch {
     poses: VecDeque<VisualPose>,
     readings: VecDeque<(Stamp, ImuReading)>,
     added: usize,
+    alignments: usize,
     windows: Windows,
     /// Since when all alignments have not refuted the estimated offset.
     agrees_since: Option<Stamp>,
@@ -106,9 +110,8 @@ impl TimeOffsetSearch {
     }
 
     /// Returns the offset once its standard deviation is below 10 ms. Aligns after every third
-    /// image only. `gravity` is in m/s²; `noise` are the IMU's densities, `given` those of the rig
-    /// file.
-    /// `estimated` is the offset that the filter estimates, s.
+    /// image only, later after every ninth. `gravity` is in m/s²; `noise` are the IMU's densities,
+    /// `given` those of the rig file; `estimated` is the offset that the filter estimates, s.
     pub fn find(
         &mut self,
         estimated: f64,
@@ -118,10 +121,11 @@ impl TimeOffsetSearch {
         noise: &Densities,
         given: &Densities,
     ) -> Option<TimeOffset> {
-        if self.added < EVERY {
+        if self.added < if self.alignments < SOON { EVERY } else { EVERY_LATER } {
             return None;
         }
         self.added = 0;
+        self.alignments += 1;
         self.weigh(noise, given);
         let newest = self.poses.back()?.stamp;
         let age = |pose: &VisualPose| newest.seconds_since(pose.stamp);
