@@ -324,7 +324,7 @@ fn binary(subscription: u32, sample: &Sample) -> Message {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use super::{protocol::Subscribe, *};
     use std::net::Ipv4Addr;
 
     #[test]
