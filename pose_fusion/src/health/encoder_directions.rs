@@ -354,10 +354,8 @@ impl InertialTrack {
                 return None;
             }
             // For the directions the biases would be estimated so that they explain what is wrong.
-            let measured = |e: &Entry| e.reading.clone();
-            let calibrated = |e: &Entry| e.state.motion(&e.reading);
-            self.inertial[0].advance(from, to, dt, measured);
-            self.inertial[1].advance(from, to, dt, calibrated);
+            self.inertial[0].advance(from, to, dt, |e| e.reading);
+            self.inertial[1].advance(from, to, dt, |e| e.state.motion(&e.reading));
         }
         let state = &history.get(place)?.state;
         let turned = (state.attitude * self.attitude.inverse()).scaled_axis().z;

@@ -69,7 +69,7 @@ pub struct EncoderEvidence {
     pub standing: bool,
     /// An axis has stood since about when the encoders were suspended: it may be stuck.
     pub axis_stopped: bool,
-    /// The estimate of the climber moves.
+    /// By the estimate the climber moves along an axis that stands.
     pub moves: bool,
     /// Images and IMU show that the climber moves along an axis that stands.
     pub shown: bool,
@@ -160,11 +160,11 @@ impl EncoderTrust {
             *cause = Cause::Unstuck;
             self.returned = seen.moves_on.then_some(at);
         }
-        let stuck = *cause == Cause::Stuck;
         self.shown |= seen.shown;
-        let known = !self.shown || residual.amax() < CONSISTENT_DISTANCE;
-        let near = !seen.standing || !seen.shown && known;
-        if nis < CONSISTENT_NIS && near {
+        let stuck = *cause == Cause::Stuck || seen.standing && self.shown;
+        let near = residual.amax() < CONSISTENT_DISTANCE;
+        let may_stand = !seen.shown && (near || !self.shown);
+        if nis < CONSISTENT_NIS && (may_stand || !seen.standing) {
             self.consistent += 1;
             self.consistent_since.get_or_insert(at);
         } else {
@@ -177,11 +177,7 @@ impl EncoderTrust {
         if self.consistent >= CONSISTENT && lasts > due {
             self.reset();
             Verdict::Resume
-        } else if !stuck
-            && !(seen.standing && self.shown)
-            && self.consistent == 0
-            && (returned || contradicts > timeout)
-        {
+        } else if !stuck && self.consistent == 0 && (returned || contradicts > timeout) {
             self.reset();
             Verdict::Adopt
         } else {
