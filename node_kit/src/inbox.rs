@@ -332,10 +332,8 @@ mod tests {
     #[test]
     fn a_dropped_input_may_put_in_another_one() {
         let inbox = Inbox::new();
-        let (source, ends) = (
-            inbox.add_source("/x", 1, SourceKind::Expected),
-            inbox.add_source("ends", 1, SourceKind::Expected),
-        );
+        let topic = |name| inbox.add_source(name, 1, SourceKind::Expected);
+        let (source, ends) = (topic("/x"), topic("ends"));
         for _ in 0..2 {
             inbox.put(source, Event::Input(Reported(inbox.clone(), Some(ends))), now());
         }
@@ -346,10 +344,8 @@ mod tests {
     fn a_closed_inbox_wakes_its_reader_and_takes_nothing() {
         let inbox = Inbox::<u8>::new();
         let source = inbox.add_source("/x", 1, SourceKind::Expected);
-        let reader = std::thread::spawn({
-            let inbox = inbox.clone();
-            move || inbox.take(now() + Duration::from_secs(60))
-        });
+        let read = inbox.clone();
+        let reader = std::thread::spawn(move || read.take(now() + Duration::from_secs(60)));
         inbox.close();
         assert!(matches!(reader.join().unwrap(), Taken::Closed));
         inbox.put(source, Event::Input(1), now());
