@@ -14,11 +14,12 @@ use std::collections::VecDeque;
 
 /// Images closer together than this add nothing, s.
 const SPACING: f64 = 0.024;
-/// Number of images from one alignment to the next …
+/// Number of images from one alignment to the next.
 const EVERY: usize = 3;
-/// … and after that many alignments: a rig at rest, which says nothing of the offset.
-const EVERY_LATER: usize = 9;
-const SOON: usize = 100;
+/// Time from one alignment to the next, s, where none has given the offset for [`LONG`] s: a rig at
+/// rest.
+const SELDOM: f64 = 0.28;
+const LONG: f64 = 10.0;
 /// Floors of the visual pose: position, m, and rotation, rad …
 const FLOOR: [f64; 2] = [0.4e-3, 1e-3];
 /// … and what is left of the IMU's noise in the window when initial state and biases are fitted, as
@@ -36,7 +37,9 @@ pub struct TimeOffsetSearch {
     poses: VecDeque<VisualPose>,
     readings: VecDeque<(Stamp, ImuReading)>,
     added: usize,
-    alignments: usize,
+    /// First image, and that of the last alignment.
+    began: Option<Stamp>,
+    aligned: Option<Stamp>,
     windows: Windows,
     /// Since when all alignments have not refuted the estimated offset.
     agrees_since: Option<Stamp>,
@@ -110,8 +113,9 @@ impl TimeOffsetSearch {
     }
 
     /// Returns the offset once its standard deviation is below 10 ms. Aligns after every third
-    /// image only, later after every ninth. `gravity` is in m/s²; `noise` are the IMU's densities,
-    /// `given` those of the rig file; `estimated` is the offset that the filter estimates, s.
+    /// image only, and every 0.3 s in a search that lasts. `gravity` is in m/s²; `noise` are the
+    /// IMU's densities, `given` those of the rig file; `estimated` is the offset that the filter
+    /// estimates, s.
     pub fn find(
         &mut self,
         estimated: f64,
@@ -121,13 +125,17 @@ impl TimeOffsetSearch {
         noise: &Densities,
         given: &Densities,
     ) -> Option<TimeOffset> {
-        if self.added < if self.alignments < SOON { EVERY } else { EVERY_LATER } {
+        if self.added < EVERY {
             return None;
         }
-        self.added = 0;
-        self.alignments += 1;
-        self.weigh(noise, given);
         let newest = self.poses.back()?.stamp;
+        let since = |stamp: Stamp| newest.seconds_since(stamp);
+        let lasts_long = since(*self.began.get_or_insert(newest)) > LONG;
+        if lasts_long && self.aligned.is_some_and(|at| (0.0..SELDOM).contains(&since(at))) {
+            return None;
+        }
+        (self.added, self.aligned) = (0, Some(newest));
+        self.weigh(noise, given);
         let age = |pose: &VisualPose| newest.seconds_since(pose.stamp);
         let poses = self.poses.make_contiguous();
         let recent = &poses[poses.partition_point(|pose| age(pose) > WINDOW)..];
