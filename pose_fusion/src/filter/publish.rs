@@ -9,7 +9,7 @@ use crate::{
     health::{
         pose_status::{
             CONTRADICTED_REASON, NEW_REASON, NO_IMU_SAMPLE, PoseState, PoseStatus, StatusTimer,
-            UNCONFIRMED_REASON,
+            UNCONFIRMED_REASON, UNRESOLVED_REASON,
         },
         status::Counts,
     },
@@ -246,6 +246,9 @@ impl Filter {
         }
         if self.monitor.is_contradicted(camera) {
             return lost(CONTRADICTED_REASON.into());
+        }
+        if self.trust.is_unresolved(at) {
+            return lost(UNRESOLVED_REASON.into());
         }
         if self.monitor.is_new() {
             // A restored pose has had none.

@@ -7,7 +7,8 @@
 //! reinitializes with them, and the world frame moves with the encoders. Until then the pose keeps
 //! its frame. Which of the two is wrong is not known: after `DISAGREES` the published covariance
 //! contains the distance between them; where the encoders seem to be stuck, only until they have
-//! seemed so for `STUCK_CONFIRMED`. Encoders that are stuck are not adopted before they move again.
+//! seemed so for `STUCK_CONFIRMED`. Encoders that are stuck are not adopted before they move again;
+//! after `UNRESOLVED` the pose is not valid.
 //! Stuck ones that move again, to where a climber can have moved since, and go on moving on all
 //! axes that moved, are right: they are adopted after `RETURNED`.
 
@@ -21,6 +22,9 @@ const DISAGREES: f64 = 0.3;
 /// Encoders that seem to be stuck count as stuck once nothing has contradicted that for this time,
 /// s.
 const STUCK_CONFIRMED: f64 = 0.7;
+
+/// Encoders that are suspended for longer than this leave the pose to the IMU for too long, s.
+const UNRESOLVED: f64 = 5.0;
 
 /// Consistent readings in a row that restore trust.
 const CONSISTENT: u32 = 3;
@@ -109,6 +113,12 @@ impl EncoderTrust {
     /// Returns since when the encoders have been suspended, IMU time.
     pub fn suspended_since(&self) -> Option<Stamp> {
         self.suspended.map(|(since, _)| since)
+    }
+
+    /// Returns whether the encoders have been suspended for so long that the pose must not be used:
+    /// they may be stuck, or the IMU leads the estimate astray.
+    pub fn is_unresolved(&self, at: Stamp) -> bool {
+        self.suspended_since().is_some_and(|since| at.seconds_since(since) > UNRESOLVED)
     }
 
     /// Returns why the encoders are suspended.

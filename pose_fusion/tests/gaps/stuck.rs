@@ -3,8 +3,9 @@
 use super::common::{laps, scoring, simulated};
 use nalgebra::UnitQuaternion;
 use pose_fusion::{FusionConfig, Input, Warning};
+use rig_model::samples::ImuSample;
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
-use std::ops::Range;
+use std::{f64::consts::FRAC_PI_2, ops::Range};
 
 /// Largest error (m) while encoders are stuck and until two seconds later, and share of the
 /// odometry beyond the gate: they are found after half a second at the latest.
@@ -134,6 +135,47 @@ fn a_parked_climber_keeps_its_encoders_with_an_imu_that_is_off() {
             let (_, outputs) = scoring::follow(FusionConfig::default(), inputs);
             let share = outputs.valid().len() as f64 / outputs.odometry.len() as f64;
             assert!(share > 0.85, "{name}, swing {swing} rad: valid {share}");
+        }
+    }
+}
+
+/// A gross error of the IMU makes a turn encoder that stands look stuck, and turns the estimate away
+/// from it: the pose is not valid where the contradiction lasts. Before, it was valid up to 0.7 m
+/// off.
+#[test]
+fn an_imu_that_leads_the_turn_astray_does_not_leave_a_valid_pose() {
+    type Fault = fn(f64, &mut ImuSample);
+    let faults: [(&str, Fault); 2] = [
+        ("mounted 90° off in yaw", |_, sample| {
+            let turn = UnitQuaternion::from_euler_angles(0.0, 0.0, FRAC_PI_2);
+            sample.specific_force = turn * sample.specific_force;
+            sample.angular_velocity = turn * sample.angular_velocity;
+        }),
+        ("gyroscope's z dead from 8 s on", |at, sample| {
+            if at > 8.0 {
+                sample.angular_velocity.z = 0.0;
+            }
+        }),
+    ];
+    for (name, fault) in faults {
+        for seed in 40..48 {
+            let motion = MotionConfig {
+                climber_turn_rate: 0.0,
+                swing: 0.05,
+                duration: 25.0,
+                ..MotionConfig::nominal(seed)
+            };
+            let run = simulated::run(motion, &SensorConfig::nominal(seed));
+            let inputs = run.changed(|at, input| {
+                if let Input::Imu(sample) = input {
+                    fault(at, sample);
+                }
+            });
+            let (_, outputs) = scoring::follow(FusionConfig::default(), inputs);
+            let valid = outputs.valid();
+            let errors = scoring::errors(&valid, &run.truth);
+            let far = errors.map(|(_, error, _)| error.position.norm()).fold(0.0, f64::max);
+            assert!(far < 0.15, "{name}, seed {seed}: {far} m");
         }
     }
 }
