@@ -1,6 +1,8 @@
 //! Wrong directions are named, right ones are not.
 
 use super::*;
+use rig_simulator::random::Random;
+use std::ops::Range;
 
 /// True motion of a climber: x, y, m; turn, rad.
 fn climber(t: f64) -> Vector3<f64> {
@@ -11,8 +13,18 @@ fn climber(t: f64) -> Vector3<f64> {
 /// Adds instants of `seconds` at 30 Hz, with a drift of the IMU and `read` by the encoders.
 fn add(
     directions: &mut EncoderDirections,
-    seconds: std::ops::Range<f64>,
+    seconds: Range<f64>,
     read: impl Fn(f64) -> Vector3<f64>,
+) {
+    add_moving(directions, seconds, climber, read);
+}
+
+/// The same with another motion.
+fn add_moving(
+    directions: &mut EncoderDirections,
+    seconds: Range<f64>,
+    climber: impl Fn(f64) -> Vector3<f64>,
+    mut read: impl FnMut(f64) -> Vector3<f64>,
 ) {
     let epoch = Stamp::from_nanos(1_760_001_000_000_000_000);
     let count = ((seconds.end - seconds.start) * 30.0) as i32;
@@ -35,14 +47,47 @@ fn each_wrong_direction_is_named_and_right_ones_are_not() {
     assert_eq!(named(&|at| at), None);
     assert_eq!(named(&|at| Vector3::new(0.0, 0.0, at.z)), None, "stuck rails");
     assert_eq!(named(&|at| Vector3::new(at.x, at.y, -at.z)), Some(TURN));
-    for (directions, text) in RAILS {
-        let encoders_from_climber = Matrix2::from_row_slice(&directions).transpose();
-        let read = |at: Vector3<f64>| {
-            let rails = encoders_from_climber * at.xy();
-            Vector3::new(rails.x, rails.y, at.z)
-        };
-        assert_eq!(named(&read), Some(text));
+    let half = 0.5;
+    for (encoders_from_climber, text) in [
+        ([-1.0, 0.0, 0.0, 1.0], "`rail_x` is reversed"),
+        ([1.0, 0.0, 0.0, -1.0], "`rail_y` is reversed"),
+        ([half, 0.0, 0.0, 1.0], "`rail_x` is reversed or its scale"),
+        ([1.0, 0.0, 0.0, 2.0], "`rail_y` is reversed or its scale"),
+        ([-1.0, 0.0, 0.0, -1.0], "both rails are reversed"),
+        ([half, 0.0, 0.0, half], "both rails are reversed or their scale"),
+        ([0.0, 1.0, 1.0, 0.0], "`rail_x` and `rail_y` are exchanged"),
+        ([0.0, -1.0, -1.0, 0.0], "`rail_x` and `rail_y` are exchanged and reversed"),
+        ([0.0, 1.0, -1.0, 0.0], "turned by 90°"),
+        ([0.0, -1.0, 1.0, 0.0], "turned by 90°"),
+    ] {
+        let rails = Matrix2::from_row_slice(&encoders_from_climber);
+        let read = |at: Vector3<f64>| (rails * at.xy()).push(at.z);
+        let wrong = named(&read).unwrap_or_default();
+        assert!(wrong.contains(text), "{rails}: {wrong}");
     }
+    // Rails that move alike may be exchanged or reversed.
+    let along = |t: f64| climber(t).x * Vector3::new(1.0, 1.0, 0.0);
+    let mut alike = EncoderDirections::default();
+    add_moving(&mut alike, 0.0..10.0, along, |t| -along(t));
+    assert_eq!(alike.wrong(), Some(UNCLEAR));
+}
+
+#[test]
+fn a_slip_and_noisy_readings_are_no_wrong_directions() {
+    let mut random = Random::new(3);
+    let mut directions = EncoderDirections::default();
+    let slip = |t: f64| if t > 5.0 { 0.1 } else { 0.0 };
+    add(&mut directions, 0.0..10.0, |t| climber(t) + Vector3::new(slip(t), 0.0, 0.0));
+    assert_eq!(directions.wrong(), None);
+    // At rest, readings that the motion does not explain are noise.
+    let mut directions = EncoderDirections::default();
+    add_moving(
+        &mut directions,
+        0.0..20.0,
+        |_| Vector3::zeros(),
+        |_| 0.003 * Vector3::new(random.normal(), random.normal(), 0.0),
+    );
+    assert_eq!(directions.wrong(), None);
 }
 
 #[test]
