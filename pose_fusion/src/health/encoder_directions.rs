@@ -123,20 +123,20 @@ struct Inertial {
 /// What is given, and the linear map of the encoders' changes that explains the motion best.
 #[derive(Clone, Copy, Debug)]
 struct Explanation {
-    /// Sums of squares of the differences with what is given, and with the map.
+    /// Sums of squares of the differences with what is given, and with the best map.
     given: f64,
-    other: f64,
-    /// Smallest excess of `given` that counts.
+    best: f64,
+    /// Smallest excess of `given` over `best` that counts.
     least: f64,
 }
 
 impl Explanation {
     fn refutes(&self) -> bool {
-        self.given - self.other > self.least && self.given > RATIO * self.other
+        self.given - self.best > self.least && self.given > RATIO * self.best
     }
 
     fn holds(&self) -> bool {
-        self.given - self.other > self.least / 2.0
+        self.given - self.best > self.least / 2.0
     }
 }
 
@@ -295,19 +295,19 @@ impl EncoderDirections {
         let certain = (read + Matrix2::identity() * UNCERTAIN).try_inverse();
         let map = beside * certain.unwrap_or_default();
         let given = products.fixed_view::<2, 2>(2, 2).trace();
-        let other = given - (map * (beside * 2.0 - map * read).transpose()).trace();
+        let best = given - (map * (beside * 2.0 - map * read).transpose()).trace();
         // Rails that move alike fit several maps.
         let alike = read.determinant() < ALIKE * read[(0, 0)] * read[(1, 1)];
         let text = if alike { UNCLEAR } else { named(&map) };
-        (Explanation { given, other, least: LEAST[0] }, text)
+        (Explanation { given, best, least: LEAST[0] }, text)
     }
 
     /// Returns how the turn explains the motion.
     fn turn(&self) -> Explanation {
         let [[read, beside], [_, given]] = self.turn_products.into();
         let scale = beside / (read + UNCERTAIN);
-        let other = given - scale * (2.0 * beside - scale * read);
-        Explanation { given, other, least: LEAST[1] }
+        let best = given - scale * (2.0 * beside - scale * read);
+        Explanation { given, best, least: LEAST[1] }
     }
 
     /// Returns for how long encoders and what is shown have differed, s: a single leap, slip or
@@ -336,7 +336,7 @@ fn named(map: &Matrix2<f64>) -> &'static str {
         let other = Matrix2::from_row_slice(directions);
         let cosine = map.dot(&other) / (map.norm() * other.norm());
         // A scale may be too small or too large.
-        if other.iter().any(|e| *e > 0.0) { cosine } else { cosine.abs() }
+        if other[(0, 1)] == 0.0 { cosine.abs() } else { cosine }
     };
     let best = RAILS
         .iter()
