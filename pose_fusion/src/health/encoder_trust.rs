@@ -7,10 +7,10 @@
 //! reinitializes with them, and the world frame moves with the encoders. Until then the pose keeps
 //! its frame. Which of the two is wrong is not known: after `DISAGREES` the published covariance
 //! contains the distance between them; where the encoders seem to be stuck, only until they have
-//! seemed so for `STUCK_CONFIRMED`. Encoders that are stuck are not adopted before they move again;
-//! after `UNRESOLVED` the pose is not valid.
-//! Stuck ones that move again, to where a climber can have moved since, and go on moving on all
-//! axes that moved, are right: they are adopted after `RETURNED`.
+//! seemed so for `STUCK_CONFIRMED` and images and IMU have shown motion. Encoders that are stuck are
+//! not adopted before they move again; after `UNRESOLVED` the pose is not valid. Stuck ones that
+//! move again, to where a climber can have moved since, and go on moving on all axes that moved, are
+//! right: they are adopted after `RETURNED`.
 
 use super::encoder_directions::EncoderDirections;
 use nalgebra::Vector3;
@@ -140,7 +140,9 @@ impl EncoderTrust {
         let (since, cause) = self.suspended?;
         let lasts = |since: Stamp| self.newest.map_or(0.0, |newest| newest.seconds_since(since));
         let disagrees = match cause {
-            Cause::Stuck => self.stuck_since.is_none_or(|since| lasts(since) < STUCK_CONFIRMED),
+            Cause::Stuck => {
+                !self.shown || self.stuck_since.is_none_or(|since| lasts(since) < STUCK_CONFIRMED)
+            }
             Cause::Unstuck => true,
             Cause::Contradiction | Cause::Leap => lasts(since) > DISAGREES,
         };
@@ -281,6 +283,8 @@ mod tests {
         assert_eq!(trust.judge(at(2200), 1e6, &off, STUCK, 30.0), Verdict::Exclude);
         assert_eq!(trust.disagreement(), Some(off), "not confirmed yet");
         assert_eq!(trust.judge(at(3000), 1e6, &off, STUCK, 30.0), Verdict::Exclude);
+        assert_eq!(trust.disagreement(), Some(off), "images and IMU have shown no motion");
+        assert_eq!(trust.judge(at(3020), 1e6, &off, shown, 30.0), Verdict::Exclude);
         assert_eq!(trust.disagreement(), None);
         // A climber that stands is adopted, one that moves has stuck encoders.
         let mut stopped = EncoderTrust::default();

@@ -180,6 +180,34 @@ fn an_imu_that_leads_the_turn_astray_does_not_leave_a_valid_pose() {
     }
 }
 
+/// A wheel that slips evenly below a climber that is parked: neither its beginning nor its end is
+/// felt, and the stop looks like an encoder that gets stuck. Before, the pose went on with the
+/// slip's speed: valid up to 1.9 m off.
+#[test]
+fn a_pose_that_has_followed_a_slip_is_valid_only_about_as_far_off() {
+    const SLIP: f64 = 0.5;
+    for seed in 40..44 {
+        let motion = MotionConfig {
+            climber_speed: 0.0,
+            climber_turn_rate: 0.0,
+            duration: 25.0,
+            ..MotionConfig::nominal(seed)
+        };
+        let run = simulated::run(motion, &SensorConfig::nominal(seed));
+        let inputs = run.changed(|at, input| {
+            if let Input::Climber(sample) = input {
+                let slipped = ((at - 8.0) / 2.0).clamp(0.0, 1.0) * SLIP;
+                sample.world_from_climber.translation.vector.x += slipped;
+            }
+        });
+        let (_, outputs) = scoring::follow(FusionConfig::default(), inputs);
+        let valid = outputs.valid();
+        let errors = scoring::errors(&valid, &run.truth);
+        let far = errors.map(|(_, error, _)| error.position.norm()).fold(0.0, f64::max);
+        assert!(far < 1.5 * SLIP, "seed {seed}: {far} m");
+    }
+}
+
 /// A climber that runs into its stop stands at once as stuck encoders do: images and IMU see it
 /// stand, and the encoders are used again.
 #[test]
