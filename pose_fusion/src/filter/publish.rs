@@ -7,9 +7,10 @@ use crate::{
         state::State,
     },
     health::{
+        encoder_trust::UNRESOLVED,
         pose_status::{
             CONTRADICTED_REASON, NEW_REASON, NO_IMU_SAMPLE, PoseState, PoseStatus, StatusTimer,
-            UNCONFIRMED_REASON, UNRESOLVED_REASON,
+            UNCONFIRMED_REASON,
         },
         status::Counts,
     },
@@ -248,7 +249,13 @@ impl Filter {
             return lost(CONTRADICTED_REASON.into());
         }
         if self.trust.is_unresolved(at) {
-            return lost(UNRESOLVED_REASON.into());
+            return lost(
+                format!(
+                    "images and IMU have contradicted the encoders for {UNRESOLVED} s: check \
+                     whether an encoder is stuck, and the IMU (`volant check`)"
+                )
+                .into(),
+            );
         }
         if self.monitor.is_new() {
             // A restored pose has had none.

@@ -24,7 +24,7 @@ const DISAGREES: f64 = 0.3;
 const STUCK_CONFIRMED: f64 = 0.7;
 
 /// Encoders that are suspended for longer than this leave the pose to the IMU for too long, s.
-const UNRESOLVED: f64 = 5.0;
+pub const UNRESOLVED: f64 = 5.0;
 
 /// Consistent readings in a row that restore trust.
 const CONSISTENT: u32 = 3;

@@ -14,9 +14,6 @@ pub const NEW_REASON: &str = "a new pose, which images have not confirmed yet";
 /// Reason of a pose without images that they contradicted shortly before.
 pub const UNCONFIRMED_REASON: &str =
     "no image used, and the last ones contradicted the IMU or the encoders";
-/// Reason of a pose whose encoders have contradicted images and IMU for long.
-pub const UNRESOLVED_REASON: &str = "images and IMU have contradicted the encoders for 5 s: check \
-                            whether an encoder is stuck, and the IMU (`volant check`)";
 
 /// What carries the pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

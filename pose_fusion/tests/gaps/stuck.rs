@@ -35,6 +35,14 @@ fn held(run: &simulated::Run, axes: [bool; 3], stuck: Range<f64>) -> Vec<Input> 
     })
 }
 
+/// Returns the largest position error (m) of the valid poses from the inputs of a run.
+fn farthest_valid(run: &simulated::Run, inputs: Vec<Input>) -> f64 {
+    let (_, outputs) = scoring::follow(FusionConfig::default(), inputs);
+    let valid = outputs.valid();
+    let errors = scoring::errors(&valid, &run.truth);
+    errors.map(|(_, error, _)| error.position.norm()).fold(0.0, f64::max)
+}
+
 /// Encoders of the axes of `axes` (x, y, turn) repeat one reading for two seconds, from instants
 /// at which the climber drives, turns around or stands. Returns the largest error, m, and the share
 /// of the odometry beyond the gate, until two seconds after.
@@ -171,10 +179,7 @@ fn an_imu_that_leads_the_turn_astray_does_not_leave_a_valid_pose() {
                     fault(at, sample);
                 }
             });
-            let (_, outputs) = scoring::follow(FusionConfig::default(), inputs);
-            let valid = outputs.valid();
-            let errors = scoring::errors(&valid, &run.truth);
-            let far = errors.map(|(_, error, _)| error.position.norm()).fold(0.0, f64::max);
+            let far = farthest_valid(&run, inputs);
             assert!(far < 0.15, "{name}, seed {seed}: {far} m");
         }
     }
@@ -200,10 +205,7 @@ fn a_pose_that_has_followed_a_slip_is_valid_only_about_as_far_off() {
                 sample.world_from_climber.translation.vector.x += slipped;
             }
         });
-        let (_, outputs) = scoring::follow(FusionConfig::default(), inputs);
-        let valid = outputs.valid();
-        let errors = scoring::errors(&valid, &run.truth);
-        let far = errors.map(|(_, error, _)| error.position.norm()).fold(0.0, f64::max);
+        let far = farthest_valid(&run, inputs);
         assert!(far < 1.5 * SLIP, "seed {seed}: {far} m");
     }
 }
